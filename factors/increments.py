@@ -1,0 +1,156 @@
+"""Two-speed strapdown integration: coning- and sculling-compensated increments over several IMU samples.
+
+P. Savage, "Strapdown Inertial Navigation Integration Algorithm Design", J. Guidance 21 (1998), parts 1-2: a fast
+loop composes rotation and velocity increments over a minor interval, a slow loop (GTSAM's preintegration) takes
+them as one sample. Offline the slopes of rate and force within a sample are known from both neighbours.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors.so3 import Array
+
+
+@dataclass(frozen=True)
+class Samples:
+    """IMU samples; row k is the mean over ``(edge_s[k], edge_s[k+1]]``.
+
+    Attributes
+    ----------
+    edge_s : (N+1,) interval bounds, s.
+    gyro_b : (N, 3) mean angular rate, rad/s.
+    accel_b : (N, 3) mean specific force, m/s^2.
+    """
+
+    edge_s: Array
+    gyro_b: Array
+    accel_b: Array
+
+
+@dataclass(frozen=True)
+class Increments:
+    """Compensated increments over minor intervals, grouped by the intervals they were asked for.
+
+    Attributes
+    ----------
+    first : (K+1,) minor intervals ``first[k]:first[k+1]`` make up interval k.
+    dt_s : (M,) durations, s.
+    rotation_b : (M, 3) rotation vector from the start to the end of the minor interval, rad.
+    velocity_b : (M, 3) integral of specific force in the body frame at its start, m/s.
+    """
+
+    first: npt_int
+    dt_s: Array
+    rotation_b: Array
+    velocity_b: Array
+
+
+npt_int = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+
+
+def slopes(samples: Samples) -> tuple[Array, Array]:
+    """Time derivatives of rate and force in every sample by central differences, each (N, 3)."""
+    middle = (samples.edge_s[1:] + samples.edge_s[:-1]) / 2
+    if len(middle) < 2:
+        return np.zeros_like(samples.gyro_b), np.zeros_like(samples.accel_b)
+    lo = np.maximum(np.arange(len(middle)) - 1, 0)
+    hi = np.minimum(np.arange(len(middle)) + 1, len(middle) - 1)
+    span = (middle[hi] - middle[lo])[:, None]
+    return (samples.gyro_b[hi] - samples.gyro_b[lo]) / span, (samples.accel_b[hi] - samples.accel_b[lo]) / span
+
+
+def compensated_increments(
+    samples: Samples,
+    boundaries_s: Array,
+    minor_s: float,
+    gyro_bias_b: Array | None = None,
+    accel_bias_b: Array | None = None,
+) -> Increments:
+    """Increments over minor intervals of about `minor_s` between successive boundaries.
+
+    Parameters
+    ----------
+    samples : IMU samples that cover the boundaries.
+    boundaries_s : (K+1,) ascending times (keyframes); a boundary inside a sample splits it.
+    minor_s : longest minor interval wanted, s; at least one sample long.
+    gyro_bias_b, accel_bias_b : (3,) or (K, 3) biases removed before compensation (rad/s, m/s^2).
+
+    Returns
+    -------
+    Increments, with K groups.
+
+    Notes
+    -----
+    Over a piece of length h with rate w, force f and slopes w', f' the increments are
+    ``dtheta = w h + w x w' h^3/12`` (coning) and
+    ``dv = (I + h/2 w x + h^2/6 (w x)^2) f h + (w x f' + f x w') h^3/12`` (rotation and sculling); pieces are composed
+    exactly.
+    """
+    from scipy.spatial.transform import Rotation
+
+    edge, row, interval = _pieces(samples.edge_s, np.asarray(boundaries_s, float))
+    h = np.diff(edge)[:, None]
+    gyro_slope, accel_slope = slopes(samples)
+    offset = ((edge[1:] + edge[:-1] - samples.edge_s[row] - samples.edge_s[row + 1]) / 2)[:, None]
+    w_dot, f_dot = gyro_slope[row], accel_slope[row]
+    w = samples.gyro_b[row] + w_dot * offset - _per_interval(gyro_bias_b, interval)
+    f = samples.accel_b[row] + f_dot * offset - _per_interval(accel_bias_b, interval)
+    w_f = np.cross(w, f)
+    angle = w * h + np.cross(w, w_dot) * h**3 / 12
+    velocity = (f + w_f * h / 2 + np.cross(w, w_f) * h**2 / 6) * h + (np.cross(w, f_dot) + np.cross(f, w_dot)) * h**3 / 12
+
+    first_piece, first = _group(edge, interval, len(boundaries_s) - 1, minor_s)
+    rotation, total = Rotation.identity(len(first_piece) - 1), np.zeros((len(first_piece) - 1, 3))
+    lengths = np.diff(first_piece)
+    for step in range(int(lengths.max(initial=0))):
+        inside = np.flatnonzero(lengths > step)
+        piece = first_piece[inside] + step
+        if len(inside) == len(lengths):
+            total += rotation.apply(velocity[piece])
+            rotation = rotation * Rotation.from_rotvec(angle[piece])
+        else:
+            total[inside] += rotation[inside].apply(velocity[piece])
+            rotation[inside] = rotation[inside] * Rotation.from_rotvec(angle[piece])
+    dt = edge[first_piece[1:]] - edge[first_piece[:-1]]
+    return Increments(first, dt, rotation.as_rotvec(), total)
+
+
+def _per_interval(bias: Array | None, interval: npt_int) -> Array:
+    if bias is None:
+        return np.zeros(3)
+    bias = np.asarray(bias, float)
+    return bias if bias.ndim == 1 else bias[interval]
+
+
+def _pieces(edges: Array, boundaries: Array) -> tuple[Array, npt_int, npt_int]:
+    """Merged grid of sample edges and boundaries: its edges, the sample and the interval of every piece."""
+    tolerance = 1e-6
+    if boundaries[0] < edges[0] - tolerance or boundaries[-1] > edges[-1] + tolerance:
+        raise ValueError(
+            f"boundaries {boundaries[0]:.6f}..{boundaries[-1]:.6f} s outside the samples {edges[0]:.6f}..{edges[-1]:.6f} s"
+        )
+    inside = edges[(edges > boundaries[0]) & (edges < boundaries[-1])]
+    near = np.clip(np.searchsorted(boundaries, inside), 1, len(boundaries) - 1)
+    apart = np.minimum(np.abs(inside - boundaries[near]), np.abs(inside - boundaries[near - 1]))
+    merged = np.sort(np.concatenate([inside[apart > tolerance], boundaries]))
+    middle = (merged[1:] + merged[:-1]) / 2
+    row = np.clip(np.searchsorted(edges, middle) - 1, 0, len(edges) - 2)
+    interval = np.searchsorted(boundaries, middle) - 1
+    return merged, row, interval
+
+
+def _group(edge: Array, interval: npt_int, count: int, minor_s: float) -> tuple[npt_int, npt_int]:
+    """Split every interval's pieces into runs of about `minor_s`: piece bounds of the runs, run bounds of intervals."""
+    start = edge[:-1][np.searchsorted(interval, np.arange(count))]
+    end = edge[1:][np.searchsorted(interval, np.arange(count), side="right") - 1]
+    runs = np.maximum(1, np.ceil((end - start) / minor_s - 1e-6))
+    middle = (edge[1:] + edge[:-1]) / 2
+    position = (middle - start[interval]) / (end - start)[interval]
+    run = np.minimum(np.floor(position * runs[interval]), runs[interval] - 1).astype(np.int64)
+    new = np.flatnonzero(np.diff(interval, prepend=-1) + np.abs(np.diff(run, prepend=-1)) != 0)
+    first_piece = np.append(new, len(run))
+    first = np.searchsorted(interval[new], np.arange(count + 1))
+    return first_piece, first

@@ -1,0 +1,212 @@
+"""IMU preintegration between keyframes with datasheet noise, Earth rate and biases in epochs.
+
+C. Forster et al., "On-Manifold Preintegration for Real-Time Visual-Inertial Odometry", IEEE T-RO 33 (2017), as
+GTSAM implements it (`ImuFactor`); Earth rate through `PreintegrationParams.setOmegaCoriolis`. What GTSAM takes as one
+sample is a minor interval of the two-speed algorithm in `factors.increments`, which also removes the error of
+g * Omega * dt / 2 that per-sample integration leaves at rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors import so3
+from factors.increments import Increments, npt_int
+from factors.so3 import Array
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import gtsam
+
+RAD_S_PER_DEG_H = np.pi / 180 / 3600
+RAD_PER_DEG_SQRT_H = np.pi / 180 / 60
+M_S2_PER_MG = 9.80665e-3
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """IMU errors in SI units, all 1-sigma.
+
+    Attributes
+    ----------
+    gyro_density : angular random walk, rad/sqrt(s).
+    accel_density : velocity random walk, m/s/sqrt(s).
+    gyro_bias, accel_bias : turn-on bias, rad/s and m/s^2.
+    gyro_bias_walk, accel_bias_walk : bias random walk, rad/s/sqrt(s) and m/s^2/sqrt(s).
+    """
+
+    gyro_density: float
+    accel_density: float
+    gyro_bias: float
+    accel_bias: float
+    gyro_bias_walk: float = 0.0
+    accel_bias_walk: float = 0.0
+
+    @classmethod
+    def from_datasheet(
+        cls,
+        *,
+        gyro_random_walk_deg_sqrt_h: float,
+        accel_random_walk_mg_sqrt_hz: float,
+        gyro_bias_deg_h: float,
+        accel_bias_mg: float,
+        gyro_bias_walk_deg_h_sqrt_h: float = 0.0,
+        accel_bias_walk_mg_sqrt_h: float = 0.0,
+    ) -> ImuNoise:
+        """Convert the figures of a datasheet; 1 mg is 9.80665e-3 m/s^2."""
+        return cls(
+            gyro_density=gyro_random_walk_deg_sqrt_h * RAD_PER_DEG_SQRT_H,
+            accel_density=accel_random_walk_mg_sqrt_hz * M_S2_PER_MG,
+            gyro_bias=gyro_bias_deg_h * RAD_S_PER_DEG_H,
+            accel_bias=accel_bias_mg * M_S2_PER_MG,
+            gyro_bias_walk=gyro_bias_walk_deg_h_sqrt_h * RAD_S_PER_DEG_H / 60,
+            accel_bias_walk=accel_bias_walk_mg_sqrt_h * M_S2_PER_MG / 60,
+        )
+
+
+def preintegration_params(
+    noise: ImuNoise, gravity_m_s2: float, earth_rate_n: Array, accel_extra_density: float = 0.0
+) -> gtsam.PreintegrationParams:
+    """GTSAM parameters for n east-north-up.
+
+    Parameters
+    ----------
+    noise : sensor noise.
+    gravity_m_s2 : magnitude of gravity, along -up.
+    earth_rate_n : (3,) Earth rotation in n, rad/s.
+    accel_extra_density : further accelerometer noise, m/s/sqrt(s), for intervals with bridged samples.
+    """
+    import gtsam
+
+    params = gtsam.PreintegrationParams.MakeSharedU(gravity_m_s2)
+    params.setGyroscopeCovariance(np.eye(3) * noise.gyro_density**2)
+    params.setAccelerometerCovariance(np.eye(3) * (noise.accel_density**2 + accel_extra_density**2))
+    params.setIntegrationCovariance(np.eye(3) * 1e-12)
+    params.setOmegaCoriolis(np.asarray(earth_rate_n, float))
+    return params
+
+
+def preintegrations(
+    increments: Increments,
+    params: gtsam.PreintegrationParams | list[gtsam.PreintegrationParams],
+    gyro_bias_b: Array,
+    accel_bias_b: Array,
+) -> Iterator[gtsam.PreintegratedImuMeasurements]:
+    """One preintegrated measurement for every interval of `increments`.
+
+    Parameters
+    ----------
+    increments : from `compensated_increments`, with the same biases.
+    params : for all intervals, or one for each.
+    gyro_bias_b, accel_bias_b : (K, 3) biases at which to preintegrate, rad/s and m/s^2.
+
+    Yields
+    ------
+    A preintegration, valid until the next one is asked for: factors copy it.
+    """
+    import gtsam
+
+    count = len(increments.first) - 1
+    gyro_bias_b = np.broadcast_to(gyro_bias_b, (count, 3))
+    accel_bias_b = np.broadcast_to(accel_bias_b, (count, 3))
+    interval = np.repeat(np.arange(count), np.diff(increments.first))
+    # GTSAM removes the bias itself: give back what compensation took.
+    rate = increments.rotation_b / increments.dt_s[:, None] + gyro_bias_b[interval]
+    force = increments.velocity_b / increments.dt_s[:, None] + accel_bias_b[interval]
+    many = params if isinstance(params, list) else None
+    reused = None if many else gtsam.PreintegratedImuMeasurements(params, gtsam.imuBias.ConstantBias())
+    for k in range(count):
+        bias = gtsam.imuBias.ConstantBias(accel_bias_b[k], gyro_bias_b[k])
+        if many:
+            pim = gtsam.PreintegratedImuMeasurements(many[k], bias)
+        else:
+            pim = reused
+            pim.resetIntegrationAndSetBias(bias)
+        for m in range(increments.first[k], increments.first[k + 1]):
+            pim.integrateMeasurement(force[m], rate[m], increments.dt_s[m])
+        yield pim
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Preintegrated motion in numpy, at the end of every minor interval, relative to its interval's start.
+
+    Attributes
+    ----------
+    first : (K+1,) grouping of the minor intervals, as in `Increments`.
+    elapsed_s : (M,) time since the interval's start.
+    rotation : (M, 3, 3); velocity_b, position_b : (M, 3), without gravity and Earth rate.
+    """
+
+    first: npt_int
+    elapsed_s: Array
+    rotation: Array
+    velocity_b: Array
+    position_b: Array
+
+
+def cumulate(increments: Increments) -> Motion:
+    """Compose minor increments within every interval."""
+    count = len(increments.first) - 1
+    minors = len(increments.dt_s)
+    turn = so3.exp(increments.rotation_b)
+    out = Motion(
+        increments.first, np.empty(minors), np.empty((minors, 3, 3)), np.empty((minors, 3)), np.empty((minors, 3))
+    )
+    rotation, velocity, position = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), np.zeros((count, 3))
+    elapsed, lengths = np.zeros(count), np.diff(increments.first)
+    for step in range(int(lengths.max(initial=0))):
+        k = np.flatnonzero(lengths > step)
+        m = increments.first[k] + step
+        dt = increments.dt_s[m][:, None]
+        gained = np.einsum("kij,kj->ki", rotation[k], increments.velocity_b[m])
+        position[k] += (velocity[k] + gained / 2) * dt
+        velocity[k] += gained
+        rotation[k] = rotation[k] @ turn[m]
+        elapsed[k] += dt[:, 0]
+        out.elapsed_s[m], out.rotation[m], out.velocity_b[m], out.position_b[m] = (
+            elapsed[k],
+            rotation[k],
+            velocity[k],
+            position[k],
+        )
+    return out
+
+
+def predict(
+    rotation_nb: Array,
+    pos_n: Array,
+    vel_n: Array,
+    motion: Motion,
+    index: npt_int,
+    gravity_m_s2: float,
+    earth_rate_n: Array,
+) -> tuple[Array, Array, Array]:
+    """States after the motions ``motion[index]``, started at the given states; all (K, ...).
+
+    Forster et al. (2017), equation 26, on the rotating Earth to first order in its turn: with ``a(s)`` the specific force
+    in the axes of n at the start, ``v = v_0 + g t + int a - Omega x int s a - 2 Omega x (p - p_0)`` and its integral.
+    """
+    t = motion.elapsed_s[index][:, None]
+    gravity = np.array([0.0, 0.0, -gravity_m_s2])
+    force_v = np.einsum("kij,kj->ki", rotation_nb, motion.velocity_b[index])
+    force_p = np.einsum("kij,kj->ki", rotation_nb, motion.position_b[index])
+    free = vel_n * t + gravity * t**2 / 2 + force_p
+    velocity = vel_n + gravity * t + force_v - np.cross(earth_rate_n, t * force_v - force_p + 2 * free)
+    position = pos_n + free - np.cross(earth_rate_n, force_p * t / 3 + vel_n * t**2)
+    rotation = so3.exp(-earth_rate_n * t) @ rotation_nb @ motion.rotation[index]
+    return rotation, position, velocity
+
+
+def bias_walk_factor(key_1: int, key_2: int, accel_sigma: float, gyro_sigma: float) -> gtsam.NonlinearFactor:
+    """Random walk of accelerometer (m/s^2) and gyro (rad/s) bias between two epochs: a native between-factor."""
+    import gtsam
+
+    sigmas = np.r_[np.full(3, accel_sigma), np.full(3, gyro_sigma)]
+    # not "smart": GTSAM would take sigmas below 1e-8 for hard constraints
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas, False)
+    return gtsam.BetweenFactorConstantBias(key_1, key_2, gtsam.imuBias.ConstantBias(), noise)

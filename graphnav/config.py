@@ -1,0 +1,154 @@
+"""The configuration of a smoothing run: every choice that is not a property of the sensors.
+
+Sensor errors belong to the log (log.toml); what is here are choices of method, with the reason for each default.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from graphnav.errors import ConfigError
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class KeyframesConfig(_Section):
+    """When a keyframe is placed; measurements that need one at their own time get it besides."""
+
+    interval_s: float = Field(1.0, gt=0, description="longest time between keyframes")
+    distance_m: float | None = Field(None, gt=0, description="longest odometer distance between keyframes")
+    events: bool = Field(True, description="keyframes at the starts and ends of cuts")
+
+
+class ImuConfig(_Section):
+    """Preintegration and biases."""
+
+    minor_interval_s: float = Field(0.1, gt=0, description="longest minor interval of the two-speed algorithm")
+    minor_angle_rad: float = Field(0.02, gt=0, description="and largest usual rotation within it")
+    bias_epoch_s: float = Field(60.0, gt=0, description="span of one bias variable")
+    max_gap_s: float = Field(0.5, gt=0, description="longest hole in the IMU record that is bridged")
+
+
+class OdometerConfig(_Section):
+    """How odometer samples enter."""
+
+    form: Literal["displacement", "velocity"] = Field(
+        "displacement", description="preintegrated over the interval (every sample), or the sample nearest a keyframe"
+    )
+    calibration_epoch_s: float = Field(60.0, gt=0, description="span of one scale-and-mounting variable")
+    scale_walk_sqrt_h: float = Field(1e-5, gt=0, description="random walk of the scale factor")
+    mounting_walk_deg_sqrt_h: float = Field(1e-3, gt=0, description="random walk of the mounting angles")
+    max_gap_s: float = Field(60.0, gt=0, description="longest hole in the odometer record that the IMU bridges")
+
+
+class RestConfig(_Section):
+    """Zero velocity and unchanged pose while at rest."""
+
+    use: bool = True
+    velocity_sigma_m_s: float = Field(1e-3, gt=0)
+    attitude_sigma_deg: float = Field(5e-4, gt=0, description="change of attitude between keyframes of one rest")
+    position_sigma_m: float = Field(1e-4, gt=0, description="change of position between keyframes of one rest")
+
+
+class ClosedPathConfig(_Section):
+    """Closed-path position measurements."""
+
+    form: Literal["relative", "absolute", "off"] = "relative"
+    interval_m: float | None = Field(None, gt=0, description="spacing along the face; default the log's")
+    along: Literal["ends", "all"] = Field(
+        "ends", description="points whose prediction counts along the face: its ends, or all"
+    )
+
+
+class PositionConfig(_Section):
+    """Absolute positions."""
+
+    use: bool = True
+    huber: float | None = Field(None, gt=0, description="threshold of a Huber loss in sigmas")
+
+
+class BatchConfig(_Section):
+    """Gauss-Newton with Levenberg-Marquardt damping."""
+
+    max_iterations: int = Field(25, ge=1)
+    tolerance_sigma: float = Field(0.01, gt=0, description="converged when the whole step is this many joint sigmas")
+    bias_move_rounds: int = Field(3, ge=1, description="repetitions of preintegration at better biases")
+
+
+class Isam2Config(_Section):
+    """Incremental smoothing."""
+
+    keyframes_per_update: int = Field(1, ge=1)
+    relinearize_skip: int = Field(10, ge=1)
+    wildfire_threshold: float = Field(1e-3, ge=0)
+    threshold_attitude_rad: float = Field(0.003, gt=0)
+    threshold_position_m: float = Field(0.1, gt=0)
+    threshold_velocity_m_s: float = Field(0.05, gt=0)
+    threshold_calibration: float = Field(0.005, gt=0)
+    threshold_bias: float = Field(0.002, gt=0)
+
+
+class Config(_Section):
+    """Everything `graphnav smooth` can be told."""
+
+    keyframes: KeyframesConfig = KeyframesConfig()
+    imu: ImuConfig = ImuConfig()
+    odometer: OdometerConfig = OdometerConfig()
+    rest: RestConfig = RestConfig()
+    closed_path: ClosedPathConfig = ClosedPathConfig()
+    position: PositionConfig = PositionConfig()
+    batch: BatchConfig = BatchConfig()
+    isam2: Isam2Config = Isam2Config()
+    covariance: bool = Field(True, description="covariances at all keyframes")
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any], where: str = "configuration") -> Config:
+        """A configuration from nested keys; unknown keys and wrong values raise `ConfigError`."""
+        try:
+            return cls.model_validate(values)
+        except ValidationError as error:
+            first = error.errors()[0]
+            key = ".".join(str(part) for part in first["loc"])
+            if first["type"] == "extra_forbidden":
+                raise ConfigError(f"{where}: unknown key {key}; known: {_known(cls, first['loc'][:-1])}") from None
+            raise ConfigError(f"{where}: {key}: {first['msg']}, found {first['input']!r}") from None
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> Config:
+        """A configuration from a TOML file."""
+        import tomllib
+
+        path = Path(path)
+        try:
+            values = tomllib.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise ConfigError(f"{path}: no such file") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: not valid TOML ({error})") from None
+        return cls.from_dict(values, str(path))
+
+    def to_toml(self) -> str:
+        """The effective configuration as TOML; keys without a value are left out."""
+        lines = [f"covariance = {str(self.covariance).lower()}"]
+        for name, section in self.model_dump(exclude_none=True).items():
+            if isinstance(section, dict):
+                lines += ["", f"[{name}]"] + [f"{key} = {_toml(value)}" for key, value in section.items()]
+        return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f'"{value}"' if isinstance(value, str) else repr(value)
+
+
+def _known(cls: type[BaseModel], path: tuple[int | str, ...]) -> str:
+    model: Any = cls
+    for part in path:
+        model = model.model_fields[part].annotation
+    return ", ".join(model.model_fields)

@@ -1,0 +1,55 @@
+"""Errors a user may meet: one line that says what is wrong, where, and what to do."""
+
+from __future__ import annotations
+
+
+class GraphnavError(Exception):
+    """Base of every error that graphnav raises on purpose; its text is one line for the user."""
+
+
+class LogError(GraphnavError):
+    """A recorded log that breaks a rule of the log format.
+
+    Parameters
+    ----------
+    problem : what was found and what was expected.
+    where : the file, table or section, as far as it is known.
+    row : 0-based data row; shown counted from 1, the header row not counted.
+    column : column or key.
+    fix : what the user can do.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        where: str = "",
+        row: int | None = None,
+        column: str = "",
+        fix: str = "",
+    ) -> None:
+        self.problem, self.where, self.row, self.column, self.fix = problem, where, row, column, fix
+        super().__init__(problem)
+
+    def at(self, where: str) -> LogError:
+        """The same error, with its place made more precise (a reader knows the file)."""
+        return LogError(self.problem, where=where, row=self.row, column=self.column, fix=self.fix)
+
+    def __str__(self) -> str:
+        place = [self.where] if self.where else []
+        if self.row is not None:
+            place.append(f"row {self.row + 1}")
+        if self.column:
+            place.append(self.column)
+        text = ", ".join(place)
+        text = f"{text}: {self.problem}" if text else self.problem
+        text = f"{text}; {self.fix}" if self.fix else text
+        return text.replace("\n", "\\n").replace("\r", "\\r")
+
+
+class ConfigError(GraphnavError):
+    """A configuration with an unknown key or a value out of range."""
+
+
+class SolveError(GraphnavError):
+    """The smoothing could not produce a converged, complete trajectory."""

@@ -1,0 +1,1 @@
+"""Front ends: what the raw samples say before any estimation (rest, units, cutting cycles)."""

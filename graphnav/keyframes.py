@@ -1,0 +1,107 @@
+"""Keyframes: the times at which states are estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from graphnav._schema import Array
+from graphnav.config import Config
+from graphnav.errors import LogError
+from graphnav.frontends.cutting_cycles import ClosedPathPoint, Cycle, closed_path_points, find_cycles, mileage
+from graphnav.frontends.rest import rest_spans
+from graphnav.log import SensorLog
+
+#: Measurements closer than this share a keyframe (at 1 m/s it is a millimetre).
+_SAME_S = 1e-3
+#: A regular keyframe this close to a measurement's, in intervals, is left out.
+_NEAR = 0.3
+
+
+@dataclass(frozen=True)
+class Frontend:
+    """What the log says before any estimation.
+
+    Attributes
+    ----------
+    keyframe_s : (N,) keyframe times.
+    cycles, closed_path : cutting cycles and closed-path points.
+    rest_s : (K, 2) spans at rest.
+    fixes : (time, position (3,), sigma (3,)) of absolute positions and surveyed points.
+    """
+
+    keyframe_s: Array
+    cycles: tuple[Cycle, ...]
+    closed_path: tuple[ClosedPathPoint, ...]
+    rest_s: Array
+    fixes: tuple[tuple[float, Array, Array], ...]
+
+    def index(self, t_s: float) -> int:
+        """The keyframe nearest to a time."""
+        right = int(np.clip(np.searchsorted(self.keyframe_s, t_s), 1, len(self.keyframe_s) - 1))
+        left_nearer = t_s - self.keyframe_s[right - 1] < self.keyframe_s[right] - t_s
+        return right - 1 if left_nearer else right
+
+
+def run_frontend(log: SensorLog, config: Config) -> Frontend:
+    """Find cycles, closed-path points, rest and fixes, and place the keyframes.
+
+    Policy: a keyframe at the start and end of the IMU record, at the exact time of every measurement that needs one
+    (closed-path points, fixes, surveyed points, events), every `interval_s` (and `distance_m`) in between.
+    """
+    imu = log.imu
+    if imu is None:
+        raise LogError("no imu table", where=f"log {log.name}", fix="smoothing needs an IMU")
+    start, end = imu.start_s, float(imu.t_s[-1])
+    cycles = find_cycles(log)
+    use_path = config.closed_path.form != "off" and log.odometer is not None
+    closed = closed_path_points(log, cycles, config.closed_path.interval_m) if use_path else ()
+    closed = tuple(p for p in closed if start <= p.first_s and p.second_s <= end)
+    fixes = _fixes(log, cycles, start, end) if config.position.use else ()
+    wanted = [p.first_s for p in closed] + [p.second_s for p in closed] + [t for t, _, _ in fixes]
+    if config.keyframes.events:
+        wanted += [t for c in cycles for t in (c.start_s, c.end_s) if t is not None]
+    times = place_keyframes(start, end, np.array(wanted, float), config, log)
+    rest = rest_spans(log) if config.rest.use else np.zeros((0, 2))
+    return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes)
+
+
+def place_keyframes(start_s: float, end_s: float, wanted_s: Array, config: Config, log: SensorLog) -> Array:
+    """Merge wanted times with the regular ones (N,)."""
+    interval = config.keyframes.interval_s
+    wanted = np.sort(np.concatenate([wanted_s[(wanted_s > start_s) & (wanted_s < end_s)], [start_s, end_s]]))
+    wanted = wanted[np.concatenate([[True], np.diff(wanted) > _SAME_S])]
+    if end_s - wanted[-1] > 0:
+        wanted[-1] = end_s
+    first = np.ceil(start_s / interval) * interval
+    regular = np.arange(first, end_s, interval)
+    if config.keyframes.distance_m is not None and log.odometer is not None:
+        covered = np.abs(np.diff(mileage(log.odometer), prepend=0.0)).cumsum()
+        marks = np.arange(config.keyframes.distance_m, covered[-1], config.keyframes.distance_m)
+        regular = np.union1d(regular, np.interp(marks, covered, log.odometer.t_s))
+        regular = regular[(regular > start_s) & (regular < end_s)]
+    near = np.clip(np.searchsorted(wanted, regular), 1, len(wanted) - 1)
+    apart = np.minimum(np.abs(regular - wanted[near]), np.abs(regular - wanted[near - 1]))
+    return np.union1d(wanted, regular[apart > _NEAR * interval])
+
+
+def _fixes(log: SensorLog, cycles: tuple[Cycle, ...], start: float, end: float) -> tuple[tuple[float, Array, Array], ...]:
+    """Absolute positions and surveyed points within the record, in order of time."""
+    found = []
+    if log.position is not None:
+        for t, pos, sigma in zip(log.position.t_s, log.position.pos_n_m, log.position.sigma_n_m, strict=True):
+            if start <= t <= end:
+                found.append((float(t), pos, sigma))
+    for point in log.surveyed:
+        when = point.t_s if point.t_s is not None else _arrival(cycles, far=point.end == "far")
+        if when is not None and start <= when <= end:
+            found.append((float(when), point.pos_n_m, np.full(3, point.sigma_m)))
+    return tuple(sorted(found, key=lambda fix: fix[0]))
+
+
+def _arrival(cycles: tuple[Cycle, ...], far: bool) -> float | None:
+    """First time at an end of the face: a forward cut ends at the far one and starts at the near one."""
+    times = [c.end_s if c.forward == far else c.start_s for c in cycles]
+    known = [t for t in times if t is not None]
+    return min(known) if known else None

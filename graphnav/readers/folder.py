@@ -1,0 +1,181 @@
+"""Reading a graphnav log folder: log.toml and one table per sensor, every rule of the format enforced."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from graphnav._schema import Record
+from graphnav.errors import LogError
+from graphnav.log import SECTIONS, TABLES, Lidar, SensorLog, SurveyedPoint
+from graphnav.readers import sections, tables
+from graphnav.readers.sections import LOG_FILE
+
+_BLOCK_ROWS = 1 << 16
+
+
+def read_folder(folder: Path) -> SensorLog:
+    """Read a log folder.
+
+    Each sensor's `time_offset_s` is added to its times, and `gyro_matrix` and `accel_matrix` are applied to
+    the samples; in the log returned these parameters stand at their defaults, so that nothing is applied
+    twice and a log written again means the same.
+
+    Parameters
+    ----------
+    folder : a folder that holds log.toml.
+
+    Returns
+    -------
+    SensorLog
+
+    Raises
+    ------
+    LogError
+        The log breaks a rule of its format; the text names file, row, column, value and fix.
+    """
+    folder = folder.resolve()
+    document, files = sections.load(folder), tables.find(folder)
+    check_pairs(document, files, folder.name)
+    file = f"{folder.name}/{LOG_FILE}"
+    records: dict[str, Any] = {
+        name: _build(cls, sections.params(cls, document[name], f"{file} [{name}]"), file)
+        for name, cls in SECTIONS.items()
+        if name in document
+    }
+    records["surveyed"] = sections.build_items(SurveyedPoint, document.get("surveyed", []), file)
+    lidar = records.get("lidar")
+    for name, path in files.items():
+        offset_s = lidar.time_offset_s if lidar and name.startswith("lidar_") else 0.0
+        records[name] = _read_table(TABLES[name], document, path, file, offset_s)
+    if lidar:
+        records["lidar"] = lidar.replace(time_offset_s=0.0)
+    try:
+        return SensorLog(name=document["name"], epoch=document.get("epoch"), **records)
+    except LogError as error:
+        raise error.at(folder.name) from None
+
+
+def check_pairs(present: Collection[str], files: Collection[str], folder: str) -> None:
+    """Refuse a section without its table, a table without its section, and a log without frames.
+
+    Parameters
+    ----------
+    present : names of the sections.
+    files : names of the tables.
+    folder : the log's name in error texts.
+    """
+    file = f"{folder}/{LOG_FILE}"
+    if "frames" not in present:
+        raise LogError(
+            "missing section [frames]", where=file, fix="add [frames] with latitude_deg of the origin"
+        )
+    for section in sections.ALL_SECTIONS:
+        wanted = _tables_of(section)
+        if section in present and wanted and not any(t in files for t in wanted):
+            names = " or ".join(f"{t}.parquet or .csv" for t in wanted)
+            raise LogError(
+                "section without its table", where=f"{file} [{section}]", fix=f"add {names}, or remove it"
+            )
+        needed_by = [t for t in wanted if t in files]
+        if section not in present and needed_by:
+            fix = f"add [{section}] with {', '.join(_needed_keys(sections.ALL_SECTIONS[section]))}"
+            raise LogError(
+                f"missing section [{section}], needed by the table {needed_by[0]}", where=file, fix=fix
+            )
+
+
+def _needed_keys(cls: type[Record]) -> list[str]:
+    """Keys without a default, or the lists of sub-sections where there are none."""
+    keys = [f.name for f in cls.param_fields() if f.default is dataclasses.MISSING]
+    return keys or [f.name for f in cls.param_fields() if f.metadata["items"] is not None]
+
+
+def _tables_of(section: str) -> tuple[str, ...]:
+    if section == Lidar.SECTION:
+        return ("lidar_points", "lidar_scans")
+    return (section,) if section in TABLES else ()
+
+
+def _read_table(
+    cls: type[Record], document: Mapping[str, Any], path: Path, file: str, offset_s: float
+) -> Record:
+    where = f"{path.parent.name}/{path.name}"
+    arguments: dict[str, Any] = {}
+    if cls.SECTION:
+        arguments = sections.params(cls, document[cls.SECTION], f"{file} [{cls.SECTION}]")
+    arguments |= tables.read_columns(cls, path, where)
+    arguments[cls.TIME] += offset_s + arguments.pop("time_offset_s", 0.0)
+    for matrix, samples in (("gyro_matrix", "gyro_b_rad_s"), ("accel_matrix", "accel_b_m_s2")):
+        if matrix in arguments:
+            _apply(arguments.pop(matrix), arguments[samples])
+    record: Record = _build(cls, arguments, file, where)
+    _refuse_repeats(record, where)
+    _check_image_paths(record, where)
+    return record
+
+
+def _apply(matrix: npt.NDArray[np.float64], samples: npt.NDArray[np.float64]) -> None:
+    """Multiply every row of `samples` (N, 3) by `matrix`, in place and in blocks to spare memory."""
+    for start in range(0, len(samples), _BLOCK_ROWS):
+        block = samples[start : start + _BLOCK_ROWS]
+        block[:] = block @ matrix.T
+
+
+def _build(cls: type[Record], arguments: Mapping[str, Any], file: str, table: str = "") -> Any:
+    """Construct a record; place the errors of its own checks in the table or in the section of `file`."""
+    try:
+        return cls(**arguments)
+    except LogError as error:
+        by_name = {f.name: f.metadata["columns"] for f in cls.column_fields()}
+        keys = {f.name for f in cls.param_fields()}
+        columns = [name for names in by_name.values() for name in names]
+        in_section = not table or (
+            error.column in keys and (error.row is None or error.column not in columns)
+        )
+        placed = error.at(f"{file} [{cls.SECTION}]" if in_section else table)
+        placed.column = ", ".join(by_name.get(error.column, (error.column,)))
+        placed.row = None if in_section else error.row
+        raise placed from None
+
+
+def _refuse_repeats(record: Record, where: str) -> None:
+    """Refuse a row that repeats another in every column (a table whose rows may share times can have one)."""
+    times = getattr(record, record.TIME)
+    shares = np.zeros(len(times), dtype=bool)
+    shares[1:] = times[1:] == times[:-1]
+    shares[:-1] |= shares[1:]
+    rows = np.flatnonzero(shares)
+    if len(rows) == 0:
+        return
+    keys = []
+    for f in record.column_fields():
+        values = getattr(record, f.name)
+        if values is not None:
+            values = values[rows]
+            keys += list(values.T) if values.ndim == 2 else [_ranks(values)]
+    order = np.lexsort([rows, *reversed(keys)])
+    same = np.logical_and.reduce([key[order][1:] == key[order][:-1] for key in keys])
+    if same.any():
+        repeats = rows[order[1:][same]]
+        row = int(repeats.min())
+        problem = f"the row at {times[row]:.6f} s is there twice"
+        raise LogError(problem, where=where, row=row, column=record.TIME, fix="remove duplicate rows")
+
+
+def _ranks(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Numbers that sort and compare as the values do."""
+    return np.unique(values, return_inverse=True)[1] if values.dtype == object else values
+
+
+def _check_image_paths(record: Record, where: str) -> None:
+    for name in ("left", "right") if record.TABLE == "stereo" else ():
+        for row, text in enumerate(getattr(record, name)):
+            if not text or PurePosixPath(text).is_absolute() or PureWindowsPath(text).is_absolute():
+                problem = f'"{text}", expected an image path relative to the log folder'
+                raise LogError(problem, where=where, row=row, column=name)

@@ -1,0 +1,72 @@
+"""`Run`: what a smoothing returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from graphnav.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from graphnav.config import Config
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One estimated sensor parameter: value, 1-sigma and unit (sigma is None without covariances)."""
+
+    value: float
+    sigma: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """How the smoothing went.
+
+    Attributes
+    ----------
+    method, converged, iterations, keyframes : what was solved, and how.
+    seconds : per stage: read, frontend, assemble, solve, covariance, total.
+    peak_rss_mb : peak memory of the process, MB.
+    rejected : measurements rejected, per sensor.
+    warnings : one line each.
+    history : per iteration: error, step in joint sigmas, damping, seconds.
+    """
+
+    method: str
+    converged: bool
+    iterations: int
+    keyframes: int
+    seconds: dict[str, float]
+    peak_rss_mb: float
+    rejected: dict[str, int] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+    history: list[dict[str, float]] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A smoothed trajectory with calibration and diagnostics.
+
+    Attributes
+    ----------
+    trajectory : states and covariances at keyframes, `.at(t)` in between.
+    calibration : name -> estimate with sigma.
+    diagnostics : iterations, seconds per stage, warnings.
+    config : the effective configuration.
+    causal : with iSAM2, the trajectory of causal estimates (each keyframe from the past alone); else None.
+    """
+
+    trajectory: Trajectory
+    calibration: dict[str, Calibration]
+    diagnostics: Diagnostics
+    config: Config
+    causal: Trajectory | None = None
+
+    def save(self, folder: str | Path, **options: Any) -> None:
+        """Write the result files to a folder, whole or not at all."""
+        from graphnav.report.results import save
+
+        save(self, folder, **options)

@@ -1,0 +1,168 @@
+"""The figures of the reference scenarios and the choices a user has.
+
+Noise levels are fixed: a scenario is a yardstick, and a knob on its noise would let it be bent. What can be
+chosen is listed per scenario in `graphnav.simulation.SCENARIOS`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from graphnav.errors import ConfigError
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ImuGrade:
+    """1-sigma datasheet figures: turn-on biases and white noise."""
+
+    gyro_bias_deg_h: float
+    gyro_random_walk_deg_sqrt_h: float
+    accel_bias_mg: float
+    accel_random_walk_mg_sqrt_hz: float
+
+    def with_added(self, other: ImuGrade) -> ImuGrade:
+        """The grade of two independent errors added: root sum square of each figure."""
+        return ImuGrade(*(math.hypot(getattr(self, n), getattr(other, n)) for n in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class ShearerSpec:
+    """A shearer scenario in full. Lengths m, times s; sigmas are those drawn from and declared."""
+
+    length_m: float
+    cycles: int
+    push_m: float
+    bend_m: float
+    speed_m_s: float
+    pause_s: float
+    retreat_m: float
+    crossing_m: float
+    end_work_s: float | None  # None: as long as the oblique cut with `pause_s` takes
+    duration_s: float | None  # None: all cycles and `tail_s`
+    imu: ImuGrade
+    att_sigma_deg: Triple
+    pos_sigma_m: float
+    slip_sigma_m_s: float
+    scale_sigma: float
+    mounting_sigma_deg: Triple
+    interval_m: float = 2.0
+    sensors: tuple[str, ...] = ("imu", "odometer", "closed-path")
+    vel_sigma_m_s: float = 0.01
+    odometer_sigma_m_s: float = 0.01
+    push_sigma_m: float = 0.03
+    along_sigma_m: float = 0.03
+    survey_sigma_m: float = 0.02
+    accel_m_s2: float = 0.1
+    heading_deg: float = 17.0
+    undulation_m: float = 0.02
+    wavelength_m: float = 60.0
+    roll_sigma_deg: float = 0.5
+    static_s: float = 60.0
+    tail_s: float = 10.0
+    imu_rate_hz: int = 100
+    odometer_rate_hz: int = 10
+    latitude_deg: float = 35.0
+    longitude_deg: float = 116.8
+    gravity_m_s2: float = 9.7973
+
+
+MEMS = ShearerSpec(
+    length_m=44.6,
+    cycles=4,
+    push_m=0.4,
+    bend_m=0.03,
+    speed_m_s=0.3,
+    pause_s=10.0,
+    retreat_m=12.0,
+    crossing_m=10.0,
+    end_work_s=None,
+    duration_s=None,
+    imu=ImuGrade(720.0, 0.6, 3.0, 0.08),
+    att_sigma_deg=(0.3, 0.3, 1.0),
+    pos_sigma_m=0.05,
+    slip_sigma_m_s=0.01,
+    scale_sigma=0.05,
+    mounting_sigma_deg=(3.0, 0.5, 3.0),
+)
+
+FULL_SHIFT = ShearerSpec(
+    length_m=350.0,
+    cycles=6,
+    push_m=1.0,
+    bend_m=0.1,
+    speed_m_s=0.1,
+    pause_s=10.0,
+    retreat_m=40.0,
+    crossing_m=30.0,
+    end_work_s=870.0,
+    duration_s=7.1 * 3600,
+    imu=ImuGrade(0.05, 0.01, 0.05, 0.01),
+    att_sigma_deg=(0.18 / 60, 0.13 / 60, 20.9 / 60),
+    pos_sigma_m=0.01,
+    slip_sigma_m_s=0.001,
+    scale_sigma=0.002,
+    mounting_sigma_deg=(0.72 / 60, 0.001, 20.3 / 60),  # the paper's 0 is declared as 0.001 deg
+)
+
+#: The paper's Table 2: error settings added on top, by number (0 adds nothing).
+ADDED_ERRORS: tuple[ImuGrade, ...] = (
+    ImuGrade(0, 0, 0, 0),
+    *(ImuGrade(100 * i, 0, 0, 0) for i in (1, 2, 3)),
+    *(ImuGrade(0, i, 0, 0) for i in (1, 2, 3)),
+    *(ImuGrade(0, 0, i, 0) for i in (1, 2, 3)),
+    *(ImuGrade(0, 0, 0, i) for i in (1, 2, 3)),
+)
+INTERVALS_M = (2.0, 6.0, 10.0)
+SENSORS = ("imu", "odometer", "closed-path")
+MIN_HOURS, MAX_HOURS = 0.02, 7.1
+
+
+def shearer_mems(interval_m: float = 2.0, par: int = 0) -> ShearerSpec:
+    """`shearer-mems` with a closed-path interval and an added error setting."""
+    if interval_m not in INTERVALS_M:
+        raise ConfigError(f"interval_m = {interval_m!r}, expected one of {', '.join(map(str, INTERVALS_M))}")
+    if isinstance(par, bool) or par not in range(len(ADDED_ERRORS)):
+        raise ConfigError(f"par = {par!r}, expected a whole number 0 to {len(ADDED_ERRORS) - 1}")
+    return replace(MEMS, interval_m=float(interval_m), imu=MEMS.imu.with_added(ADDED_ERRORS[int(par)]))
+
+
+def full_shift(hours: float = MAX_HOURS, sensors: str | Iterable[str] = SENSORS) -> ShearerSpec:
+    """`full-shift`, its first `hours`, with some of its sensors."""
+    if isinstance(hours, bool) or not isinstance(hours, int | float) or not MIN_HOURS <= hours <= MAX_HOURS:
+        raise ConfigError(f"hours = {hours!r}, expected {MIN_HOURS} to {MAX_HOURS}")
+    chosen = tuple(s.strip() for s in sensors.split(",")) if isinstance(sensors, str) else tuple(sensors)
+    for sensor in chosen:
+        if sensor not in SENSORS:
+            raise ConfigError(
+                f'full-shift: sensor "{sensor}" is not available yet; choose from {", ".join(SENSORS)}'
+            )
+    if not {"imu", "odometer"} <= set(chosen):
+        raise ConfigError('full-shift: sensors must include "imu" and "odometer"')
+    return replace(FULL_SHIFT, duration_s=3600.0 * hours, sensors=chosen)
+
+
+BUILDERS: Mapping[str, Callable[..., ShearerSpec]] = {"shearer-mems": shearer_mems, "full-shift": full_shift}
+
+
+def resolve(scenario: str, options: Mapping[str, Any]) -> ShearerSpec:
+    """The figures of a scenario with options.
+
+    Raises
+    ------
+    ConfigError
+        Unknown scenario or option, or a value out of range; the text names the valid ones.
+    """
+    if scenario not in BUILDERS:
+        raise ConfigError(f'unknown scenario "{scenario}", expected one of {", ".join(BUILDERS)}')
+    builder = BUILDERS[scenario]
+    valid = tuple(inspect.signature(builder).parameters)
+    for name in options:
+        if name not in valid:
+            raise ConfigError(f'{scenario}: unknown option "{name}", expected one of {", ".join(valid)}')
+    return builder(**options)

@@ -1,0 +1,160 @@
+"""The log that a shearer's sensors record of a shift.
+
+Each kind of draw has a random stream of its own, so the same seed gives the same world whatever is measured
+in it, and a shorter log is the start of a longer one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from graphnav.log import (
+    Events,
+    Face,
+    Frames,
+    Imu,
+    InitialState,
+    Odometer,
+    SensorLog,
+    SurveyedPoint,
+    Truth,
+)
+from graphnav.simulation import sensors as sense
+from graphnav.simulation.motion import Motion
+from graphnav.simulation.scenarios import ShearerSpec
+from graphnav.simulation.world import Errors, World, build_world, draw_errors
+
+Array = npt.NDArray[np.float64]
+
+_BLOCK = 65_536  # states worked on at a time: bounds the memory of a full shift
+_TRUTH_EVERY_SAMPLE_S = 3600.0  # longer logs carry truth at the odometer's rate
+
+
+def simulate_shearer(scenario: str, spec: ShearerSpec, seed: int, *, noise: bool = True) -> SensorLog:
+    """The log of a shearer scenario; without `noise` the sensors and the declared start are exact."""
+    streams = np.random.default_rng(seed).spawn(5)
+    world = build_world(spec, streams[0], streams[1])
+    errors = draw_errors(spec, streams[2], 1.0 if noise else 0.0)
+    imu, odometer, truth = _record(world, errors, streams[3], streams[4], 1.0 if noise else 0.0)
+    face = "closed-path" in spec.sensors
+    return SensorLog(
+        name=f"{scenario}_seed{seed}",
+        frames=Frames(spec.latitude_deg, spec.longitude_deg, 0.0, spec.gravity_m_s2),
+        initial=_initial(world, errors),
+        imu=imu,
+        odometer=odometer,
+        face=_face(spec) if face else None,
+        surveyed=_surveyed(world, errors, by_end=face),
+        events=_events(world),
+        truth=truth,
+    )
+
+
+def _record(
+    world: World, errors: Errors, imu_rng: np.random.Generator, odo_rng: np.random.Generator, on: float
+) -> tuple[Imu, Odometer, Truth]:
+    """All tables, block by block; white noise times `on`."""
+    spec, count = world.spec, world.count
+    every = spec.imu_rate_hz // spec.odometer_rate_hz
+    truth_every = 1 if count <= _TRUTH_EVERY_SAMPLE_S * spec.imu_rate_hz else every
+    gyro_b, accel_b = np.empty((count, 3)), np.empty((count, 3))
+    speeds: list[Array] = []
+    rows: list[tuple[Array, Array, Array, Array]] = []
+    for first in range(0, count, _BLOCK):
+        last = min(first + _BLOCK, count)
+        t_s, motion, rot_nm = world.states(first, last)
+        rot_nb = world.body(rot_nm)
+        clean = _clean_samples(spec, motion, rot_nb)
+        gyro_b[first:last], accel_b[first:last] = _corrupt(spec, clean, errors, imu_rng, on)
+        instants = np.arange(first, last + 1)
+        new = (instants > first) | (first == 0)  # a block's first state is the last one of the block before
+        speeds.append(sense.forward_speed(motion, rot_nm)[new & (instants % every == 0) & (instants > 0)])
+        keep = new & (instants % truth_every == 0)
+        quat = rot_nb[keep].as_quat(scalar_first=True)
+        rows.append((t_s[keep], motion.pos_n[keep], quat, motion.vel_n[keep]))
+    imu_t_s = np.arange(1, count + 1) / spec.imu_rate_hz
+    speed = (1 + errors.odometer_scale) * np.concatenate(speeds)
+    speed += on * spec.odometer_sigma_m_s * odo_rng.standard_normal(len(speed))
+    return (
+        Imu(imu_t_s, gyro_b, accel_b, **vars(spec.imu)),
+        Odometer(
+            imu_t_s[every - 1 :: every],
+            speed,
+            sigma_m_s=spec.odometer_sigma_m_s,
+            slip_sigma_m_s=spec.slip_sigma_m_s,
+            scale_sigma=spec.scale_sigma,
+            mounting_sigma_deg=np.array(spec.mounting_sigma_deg),
+        ),
+        Truth(*(np.concatenate(part) for part in zip(*rows, strict=True))),
+    )
+
+
+def _clean_samples(spec: ShearerSpec, motion: Motion, rot_nb: Rotation) -> tuple[Array, Array]:
+    earth_n = sense.earth_rate_n(spec.latitude_deg)
+    return sense.inertial_samples(motion, rot_nb, 1.0 / spec.imu_rate_hz, earth_n, spec.gravity_m_s2)
+
+
+def _corrupt(
+    spec: ShearerSpec, clean: tuple[Array, Array], errors: Errors, rng: np.random.Generator, on: float
+) -> tuple[Array, Array]:
+    """Biases and white noise; the mean over a sample of a white process has density / sqrt(dt)."""
+    grade, root = spec.imu, np.sqrt(spec.imu_rate_hz)
+    white = on * root * rng.standard_normal((len(clean[0]), 6))
+    gyro = sense.gyro_density_si(grade.gyro_random_walk_deg_sqrt_h) * white[:, :3]
+    accel = sense.accel_si(grade.accel_random_walk_mg_sqrt_hz) * white[:, 3:]
+    return clean[0] + errors.gyro_bias_rad_s + gyro, clean[1] + errors.accel_bias_m_s2 + accel
+
+
+def _initial(world: World, errors: Errors) -> InitialState:
+    spec = world.spec
+    _, motion, rot_nm = world.states(0, 0)
+    rot_nb = world.body(rot_nm) * Rotation.from_rotvec(errors.initial_att_rad)
+    return InitialState(
+        pos_n_m=motion.pos_n[0] + errors.initial_pos_m,
+        pos_sigma_m=np.full(3, spec.pos_sigma_m),
+        quat_nb_wxyz=rot_nb[0].as_quat(scalar_first=True),
+        att_sigma_deg=np.array(spec.att_sigma_deg),
+        vel_n_m_s=motion.vel_n[0] + errors.initial_vel_m_s,
+        vel_sigma_m_s=np.full(3, spec.vel_sigma_m_s),
+        static_until_s=spec.static_s,
+    )
+
+
+def _face(spec: ShearerSpec) -> Face:
+    return Face(
+        length_m=spec.length_m,
+        push_m=spec.push_m,
+        push_sigma_m=spec.push_sigma_m,
+        along_sigma_m=spec.along_sigma_m,
+        creep_m=0.0,
+        creep_sigma_m=0.0,
+        interval_m=spec.interval_m,
+    )
+
+
+def _surveyed(world: World, errors: Errors, *, by_end: bool) -> tuple[SurveyedPoint, ...]:
+    """The far end, if the machine gets there; by its time where no face is declared."""
+    spec, arrival_s = world.spec, world.timeline.legs[0].end_s
+    if arrival_s > world.count / spec.imu_rate_hz:
+        return ()
+    pos_n = world.timeline.at(np.array([arrival_s])).pos_n[0] + errors.survey_m
+    place: dict[str, Any] = {"end": "far"} if by_end else {"t_s": arrival_s}
+    return (SurveyedPoint(pos_n_m=pos_n, sigma_m=spec.survey_sigma_m, **place),)
+
+
+def _events(world: World) -> Events:
+    """Starts and ends of the full cuts within the log."""
+    end_s = world.count / world.spec.imu_rate_hz
+    rows = [
+        (time, kind, leg.cycle)
+        for leg in world.timeline.legs
+        if leg.cycle
+        for time, kind in ((leg.start_s, "cut_start"), (leg.end_s, "cut_end"))
+        if time <= end_s
+    ]
+    t_s, kind, cycle = zip(*rows, strict=True)
+    return Events(t_s=np.array(t_s), kind=list(kind), cycle=np.array(cycle))

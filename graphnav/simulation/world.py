@@ -1,0 +1,133 @@
+"""The true world of a shearer's shift, and the errors made in observing it.
+
+`World` holds what is so: the lines of the face, the motion, the mounting of the IMU, the wobble of the
+machine. `Errors` holds what the sensors and the people at the start got wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from graphnav.simulation import sensors as sense
+from graphnav.simulation.motion import Motion, Timeline, face_timeline
+from graphnav.simulation.path import Line, first_line, pushed_line
+from graphnav.simulation.scenarios import ShearerSpec
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Everything drawn once per log, in SI units; zero in an error-free log."""
+
+    gyro_bias_rad_s: Array
+    accel_bias_m_s2: Array
+    odometer_scale: float
+    initial_att_rad: Array
+    initial_pos_m: Array
+    initial_vel_m_s: Array
+    survey_m: Array
+
+
+@dataclass(frozen=True)
+class World:
+    """What is true.
+
+    Attributes
+    ----------
+    lines : one per cutting cycle.
+    mounting_rad : angles alpha with ``v_m = Exp(alpha) v_b``.
+    wobble_rad : ``(N+1, 2)`` pitch and crab at nominal speed, one row per IMU instant from 0 s on.
+    """
+
+    spec: ShearerSpec
+    lines: tuple[Line, ...]
+    timeline: Timeline
+    mounting_rad: Array
+    wobble_rad: Array
+
+    @property
+    def count(self) -> int:
+        """Number of IMU samples."""
+        return len(self.wobble_rad) - 1
+
+    def states(self, first: int, last: int) -> tuple[Array, Motion, Rotation]:
+        """Times (s), motion and machine attitude ``R_nm`` of instants `first` to `last`, both included."""
+        t_s = np.arange(first, last + 1) / self.spec.imu_rate_hz
+        motion = self.timeline.at(t_s)
+        return t_s, motion, sense.wobbling(motion, self.wobble_rad[first : last + 1], self.spec.speed_m_s)
+
+    def body(self, rot_nm: Rotation) -> Rotation:
+        """Attitude ``R_nb`` of the IMU."""
+        return rot_nm * Rotation.from_rotvec(self.mounting_rad)
+
+
+def build_world(spec: ShearerSpec, geometry: np.random.Generator, machine: np.random.Generator) -> World:
+    """Draw the face, the mounting and the wobble."""
+    roll_sigma = np.deg2rad(spec.roll_sigma_deg)
+    lines = [
+        first_line(
+            geometry,
+            length_m=spec.length_m,
+            interval_m=spec.interval_m,
+            heading_rad=np.deg2rad(spec.heading_deg),
+            bend_m=spec.bend_m,
+            undulation_m=spec.undulation_m,
+            wavelength_m=spec.wavelength_m,
+            roll_sigma_rad=roll_sigma,
+        )
+    ]
+    for _ in range(1, spec.cycles):
+        lines.append(
+            pushed_line(
+                geometry,
+                lines[-1],
+                push_m=spec.push_m,
+                push_sigma_m=spec.push_sigma_m,
+                roll_sigma_rad=roll_sigma,
+            )
+        )
+    timeline = face_timeline(
+        lines,
+        length_m=spec.length_m,
+        speed_m_s=spec.speed_m_s,
+        accel_m_s2=spec.accel_m_s2,
+        static_s=spec.static_s,
+        pause_s=spec.pause_s,
+        retreat_m=spec.retreat_m,
+        crossing_m=spec.crossing_m,
+        end_work_s=spec.end_work_s,
+    )
+    duration_s = timeline.end_s + spec.tail_s if spec.duration_s is None else spec.duration_s
+    count = round(duration_s * spec.imu_rate_hz)
+    mounting = np.deg2rad(spec.mounting_sigma_deg) * machine.standard_normal(3)
+    sigma_rad = spec.slip_sigma_m_s / spec.speed_m_s
+    return World(
+        spec,
+        tuple(lines),
+        timeline,
+        mounting,
+        sense.wobble(machine, count + 1, 1.0 / spec.imu_rate_hz, sigma_rad),
+    )
+
+
+def draw_errors(spec: ShearerSpec, rng: np.random.Generator, on: float) -> Errors:
+    """Draw with the sigmas that the log declares, times `on` (0: none)."""
+
+    def draw(sigma: Any) -> Array:
+        return on * np.broadcast_to(np.asarray(sigma, float), 3) * rng.standard_normal(3)
+
+    return Errors(
+        gyro_bias_rad_s=draw(sense.gyro_si(spec.imu.gyro_bias_deg_h)),
+        accel_bias_m_s2=draw(sense.accel_si(spec.imu.accel_bias_mg)),
+        odometer_scale=float(on * spec.scale_sigma * rng.standard_normal()),
+        initial_att_rad=draw(np.deg2rad(spec.att_sigma_deg)),
+        initial_pos_m=draw(spec.pos_sigma_m),
+        initial_vel_m_s=draw(spec.vel_sigma_m_s),
+        survey_m=draw(spec.survey_sigma_m),
+    )

@@ -1,0 +1,297 @@
+"""The pipeline: a recorded log in, the best trajectory it supports out, with covariances.
+
+Frontend (cycles, closed path, rest, keyframes) - assemble (preintegration, factors, dead-reckoned initial values) - solve
+(batch or iSAM2) - covariances.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time
+from collections.abc import Callable
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.so3 import Array, to_quaternion
+from graphnav import graph as build
+from graphnav.config import Config
+from graphnav.errors import ConfigError, SolveError
+from graphnav.frontends.units import refuse_wrong_units
+from graphnav.graph import B, C, K, Preintegrated, Problem, V, X
+from graphnav.initial import States
+from graphnav.keyframes import run_frontend
+from graphnav.log import SensorLog
+from graphnav.run import Calibration, Diagnostics, Run
+from graphnav.solvers import absolute, batch, incremental
+from graphnav.solvers.covariance import joint_marginals
+from graphnav.trajectory import ImuBridge, Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import gtsam
+
+METHODS = ("batch", "isam2")
+
+#: Sizes of the variables by the letter of their key.
+_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1}
+
+ProgressHook = Callable[[str, float, float], None]
+
+
+class _Stages:
+    """Seconds per stage, and progress passed on with the stage's name."""
+
+    def __init__(self, hook: ProgressHook | None) -> None:
+        self.hook = hook
+        self.began = time.perf_counter()
+        self.seconds = dict.fromkeys(("read", "frontend", "assemble", "solve", "covariance"), 0.0)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Callable[[float, float], None] | None]:
+        began = time.perf_counter()
+        hook = self.hook
+        if hook is None:
+            yield None
+        else:
+            hook(name, 0, 1)
+            yield lambda done, total: hook(name, done, total)
+            hook(name, 1, 1)
+        self.seconds[name] += time.perf_counter() - began
+
+    def total(self) -> dict[str, float]:
+        return {**self.seconds, "total": time.perf_counter() - self.began}
+
+
+def smooth(
+    log: SensorLog | str | Path,
+    config: Config | None = None,
+    method: str = "batch",
+    progress: ProgressHook | None = None,
+) -> Run:
+    """Smooth a recorded log.
+
+    Parameters
+    ----------
+    log : a `SensorLog`, or the folder of one.
+    config : choices of method; None for the defaults.
+    method : "batch" or "isam2".
+    progress : called as ``progress(stage, done, total)``.
+
+    Returns
+    -------
+    Run, converged and complete.
+
+    Raises
+    ------
+    LogError, ConfigError : bad input.
+    SolveError : the problem is singular or did not converge; nothing is returned half done.
+    """
+    if method not in METHODS:
+        raise ConfigError(f'unknown method "{method}"; known: {", ".join(METHODS)}')
+    config = config or Config()
+    stages = _Stages(progress)
+    with stages.stage("read"):
+        if not isinstance(log, SensorLog):
+            from graphnav.readers import read
+
+            log = read(log)
+    with stages.stage("frontend"):
+        frontend = run_frontend(log, config)
+        refuse_wrong_units(log, frontend.rest_s)
+        problem = build.pose_problem(log, config, frontend)
+    solver = _solve_batch if method == "batch" else _solve_isam2
+    solved = solver(problem, stages)
+    if not solved.result.converged:
+        last = solved.result.iterations[-1]
+        raise SolveError(
+            f"not converged after {len(solved.result.iterations)} iterations (last step {last.step_sigmas:.3g} sigma);"
+            " raise batch.max_iterations, or check the log's sigmas"
+        )
+    with stages.stage("covariance") as tick:
+        blocks = _covariances(problem, solved.result, tick) if config.covariance else None
+    return _report(problem, solved, blocks, method, stages)
+
+
+class _Solved:
+    """A solver's outcome with the preintegration it belongs to."""
+
+    def __init__(self, result: batch.BatchResult, data: Preintegrated, causal: States | None = None) -> None:
+        self.result, self.data, self.causal = result, data, causal
+
+
+def _graph_of(factors: list[build.FactorAt]) -> gtsam.NonlinearFactorGraph:
+    import gtsam
+
+    graph = gtsam.NonlinearFactorGraph()
+    for f in factors:
+        graph.add(f.factor)
+    return graph
+
+
+def _solve_batch(problem: Problem, stages: _Stages) -> _Solved:
+    """Solve; where the biases moved too far for their first-order correction, preintegrate at the better ones and repeat."""
+    config = problem.config.batch
+    with stages.stage("assemble") as tick:
+        start, gyro_bias = build.start_state(problem)
+        data = build.preintegrate(problem, gyro_bias, np.zeros(3), tick)
+        values = build.initial_values(problem, data, start)
+        graph = _graph_of(build.build_factors(problem, data))
+    history: list[batch.Iteration] = []
+    for round_ in range(config.bias_move_rounds):
+        with stages.stage("solve") as tick:
+            result = batch.solve(
+                graph,
+                values,
+                max_iterations=config.max_iterations,
+                tolerance_sigma=config.tolerance_sigma,
+                progress=tick,
+            )
+            if problem.config.closed_path.form == "absolute":
+                result = absolute.solve_cycle_by_cycle(problem, graph, result)
+        history += result.iterations
+        gyro, accel = estimated_biases(problem, result.values)
+        moved = biases_moved(problem, data, gyro, accel)
+        if not moved or not result.converged or round_ == config.bias_move_rounds - 1:
+            break
+        with stages.stage("assemble") as tick:
+            data = build.preintegrate(problem, gyro, accel, tick)
+            values = result.values
+            graph = _graph_of(build.build_factors(problem, data))
+    result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
+    return _Solved(result, data)
+
+
+def _solve_isam2(problem: Problem, stages: _Stages) -> _Solved:
+    """iSAM2 through the keyframes, then batch iterations from its estimate: its thresholds leave centimetres behind."""
+    config = problem.config
+    with stages.stage("assemble") as tick:
+        start, gyro_bias = build.start_state(problem)
+        data = build.preintegrate(problem, gyro_bias, np.zeros(3), tick)
+        factors = build.build_factors(problem, data)
+    with stages.stage("solve") as tick:
+        passed = incremental.solve(problem, data, factors, start, config.isam2, tick)
+        graph = _graph_of(factors)
+        result = batch.solve(
+            graph,
+            passed.values,
+            max_iterations=config.batch.max_iterations,
+            tolerance_sigma=config.batch.tolerance_sigma,
+        )
+    return _Solved(result, data, passed.causal)
+
+
+def estimated_biases(problem: Problem, values: gtsam.Values) -> tuple[Array, Array]:
+    """Gyro and accelerometer bias in every interval between keyframes, (N-1, 3) each."""
+    epochs = range(int(problem.bias_epoch[-1]) + 1)
+    biases = [values.atConstantBias(B(e)) for e in epochs]
+    gyro, accel = (np.array([getattr(b, kind)() for b in biases]) for kind in ("gyroscope", "accelerometer"))
+    return gyro[problem.bias_epoch], accel[problem.bias_epoch]
+
+
+def biases_moved(problem: Problem, data: Preintegrated, gyro: Array, accel: Array) -> bool:
+    """Whether the estimates left the range where first-order bias correction is exact enough.
+
+    Within a minor interval of length T a gyro bias error turns the force by half of it, an acceleration ``g db T / 2``; it
+    must stay below a thousandth of the accelerometer's declared bias. The second-order term over an interval between
+    keyframes of length D, ``g db^2 D^2 / 6``, likewise.
+    """
+    gyro_moved = np.abs(gyro - data.gyro_bias_b).max()
+    accel_moved = np.abs(accel - data.accel_bias_b).max()
+    length = float(np.diff(problem.keyframe_s).max())
+    gravity = problem.gravity_m_s2
+    in_minor = gravity * gyro_moved * problem.minor_s / 2
+    between = gravity * gyro_moved**2 * length**2 / 6 + accel_moved * gyro_moved * length
+    return bool(max(in_minor, between) > 0.05 * problem.noise.accel_bias)
+
+
+def _covariances(
+    problem: Problem, result: batch.BatchResult, progress: Callable[[float, float], None] | None
+) -> dict[int, Array]:
+    groups = {X(i): (X(i), V(i)) for i in range(len(problem.keyframe_s))}
+    last_bias = B(int(problem.bias_epoch[-1]))
+    groups[last_bias] = (last_bias,)
+    if problem.has_calibration:
+        last = C(int(problem.calibration_epoch[-1]))
+        groups[last] = (last,)
+    for c in build.creep_cycles(problem):
+        groups[K(c)] = (K(c),)
+    return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
+
+
+def _report(
+    problem: Problem, solved: _Solved, blocks: dict[int, Array] | None, method: str, stages: _Stages
+) -> Run:
+    import gtsam
+
+    values, count = solved.result.values, len(problem.keyframe_s)
+    poses = gtsam.utilities.extractPose3(gtsam.utilities.allPose3s(values))
+    rotation, pos = poses[:, :9].reshape(-1, 3, 3), poses[:, 9:]
+    vel = np.array([values.atVector(V(i)) for i in range(count)])
+    cov = None
+    if blocks is not None:
+        cov = np.stack([blocks[X(i)] for i in range(count)])
+        turn = np.tile(np.eye(9), (count, 1, 1))
+        turn[:, 3:6, 3:6] = rotation
+        cov = turn @ cov @ np.swapaxes(turn, 1, 2)
+    gyro, accel = estimated_biases(problem, values)
+    bridge = ImuBridge(problem.imu.samples, gyro, accel, problem.gravity_m_s2, problem.earth_rate_n)
+    trajectory = Trajectory(problem.keyframe_s, pos, to_quaternion(rotation), vel, cov, bridge)
+    causal = None
+    if solved.causal is not None:
+        c = solved.causal
+        causal = Trajectory(problem.keyframe_s, c.pos_n, to_quaternion(c.rotation_nb), c.vel_n)
+    history = [dict(vars(step)) for step in solved.result.iterations]
+    scale = 1024 if sys.platform != "darwin" else 1024**2
+    diagnostics = Diagnostics(
+        method=method,
+        converged=solved.result.converged,
+        iterations=len(history),
+        keyframes=count,
+        seconds=stages.total(),
+        peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / scale,
+        warnings=_warnings(problem),
+        history=history,
+    )
+    return Run(trajectory, _calibration(problem, values, blocks), diagnostics, problem.config, causal)
+
+
+def _calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array] | None) -> dict[str, Calibration]:
+    """The last epoch's biases and odometer calibration in datasheet units."""
+    found: dict[str, Calibration] = {}
+
+    def put(key: int, value: Array, names: list[tuple[str, float, str]]) -> None:
+        sigma = None if blocks is None else np.sqrt(np.diag(blocks[key]))
+        for row, (name, unit_size, unit) in enumerate(names):
+            found[name] = Calibration(
+                float(value[row] / unit_size), None if sigma is None else float(sigma[row] / unit_size), unit
+            )
+
+    degree = np.pi / 180
+    if problem.has_calibration:
+        key = C(int(problem.calibration_epoch[-1]))
+        names = [("odometer_scale", 1.0, "1")]
+        names += [(f"odometer_mounting_{axis}", degree, "deg") for axis in ("right", "forward", "up")]
+        put(key, values.atVector(key), names)
+    key = B(int(problem.bias_epoch[-1]))
+    mg, deg_h = 9.80665e-3, degree / 3600
+    names = [(f"accel_bias_{a}", mg, "mg") for a in "xyz"] + [(f"gyro_bias_{a}", deg_h, "deg/h") for a in "xyz"]
+    put(key, values.atConstantBias(key).vector(), names)
+    for c in build.creep_cycles(problem):
+        put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
+    return found
+
+
+def _warnings(problem: Problem) -> list[str]:
+    found = []
+    bridged = problem.imu.bridged_s
+    if len(bridged):
+        longest = float(np.diff(bridged, axis=1).max())
+        found.append(f"{len(bridged)} holes in the IMU record were bridged, the longest {longest:.3f} s")
+    if not len(problem.frontend.rest_s) and problem.log.odometer is not None:
+        found.append("no rest found: gyro and accelerometer biases are weakly separable; record a minute at rest first")
+    return found

@@ -1,0 +1,1 @@
+"""Solvers: batch, incremental (iSAM2), covariances."""

@@ -1,0 +1,152 @@
+"""Batch smoothing: Gauss-Newton with Levenberg-Marquardt damping, driven from Python, QR throughout.
+
+GTSAM's own optimizers copy all values at every call of a Python factor, and its Cholesky fails on sound long chains; a loop
+over ``graph.linearize`` and multifrontal QR does neither.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from graphnav.errors import SolveError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import gtsam
+
+#: Damping tried when a full step does not lower the error, as a share of one whitened unit.
+_FIRST_DAMPING = 1e-3
+_MAX_DAMPING = 1e8
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One linearization: the error before the step, the step's length in joint sigmas, its damping."""
+
+    error: float
+    step_sigmas: float
+    damping: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """Estimates with the square-root information they were solved from.
+
+    Attributes
+    ----------
+    values : estimates.
+    bayes_tree : elimination of the last linearization: the input of the covariances.
+    iterations : what each one did; converged : whether the rule was met; order : keys in elimination order.
+    """
+
+    values: gtsam.Values
+    bayes_tree: gtsam.GaussianBayesTree
+    iterations: tuple[Iteration, ...]
+    converged: bool
+    order: list[int]
+
+
+def solve(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    *,
+    max_iterations: int = 25,
+    tolerance_sigma: float = 0.01,
+    progress: Callable[[float, float], None] | None = None,
+) -> BatchResult:
+    """Minimise the graph's error from the given values.
+
+    Convergence rule: stop after a step whose joint Mahalanobis length, ``sqrt(delta' H delta)`` over all variables, is at
+    most `tolerance_sigma`: what is left is that small a part of one standard deviation. A step that raises the error is
+    damped until it lowers it.
+
+    Raises
+    ------
+    SolveError : a singular system (names a variable), or no descent.
+    """
+    import gtsam
+
+    iterations: list[Iteration] = []
+    linear = graph.linearize(values)
+    ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
+    zero = values.zeroVectors()
+    converged = False
+    while True:
+        began = time.perf_counter()
+        error = linear.error(zero)
+        if not np.isfinite(error):
+            raise SolveError("the error is not finite at the start: check the log for impossible values")
+        tree = _eliminate(linear, ordering)
+        delta = tree.optimize()
+        step = float(np.sqrt(max(2 * (error - linear.error(delta)), 0.0)))
+        last = step <= tolerance_sigma
+        values, linear, damping = _descend(graph, linear, values, ordering, delta, error, last)
+        iterations.append(Iteration(error, step, damping, time.perf_counter() - began))
+        if progress is not None:
+            progress(len(iterations), max_iterations)
+        if last and damping == 0:
+            converged = True
+            break
+        if len(iterations) >= max_iterations:
+            break
+    order = [ordering.at(k) for k in range(ordering.size())]
+    return BatchResult(values, tree, tuple(iterations), converged, order)
+
+
+def _eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesTree:
+    import gtsam
+
+    try:
+        return linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
+    except RuntimeError as error:
+        raise SolveError(f"the problem is singular: {str(error).strip().splitlines()[0]}") from None
+
+
+def _descend(
+    graph: gtsam.NonlinearFactorGraph,
+    linear: gtsam.GaussianFactorGraph,
+    values: gtsam.Values,
+    ordering: gtsam.Ordering,
+    delta: gtsam.VectorValues,
+    error: float,
+    last: bool,
+) -> tuple[gtsam.Values, gtsam.GaussianFactorGraph, float]:
+    """The next values, the graph linearized there and the damping that made the error fall.
+
+    The error at the new point is read off its linearization, so an accepted step costs nothing more.
+    """
+    moved = values.retract(delta)
+    if last:
+        return moved, linear, 0.0
+    again = graph.linearize(moved)
+    if again.error(moved.zeroVectors()) <= error * (1 + 1e-9):
+        return moved, again, 0.0
+    damping = _FIRST_DAMPING
+    while damping <= _MAX_DAMPING:
+        step = _eliminate(_damped(linear, values, damping), ordering).optimize()
+        moved = values.retract(step)
+        again = graph.linearize(moved)
+        if again.error(moved.zeroVectors()) < error:
+            return moved, again, damping
+        damping *= 10
+    raise SolveError("no step lowers the error: the initial values are too far off, or measurements contradict each other")
+
+
+def _damped(linear: gtsam.GaussianFactorGraph, values: gtsam.Values, damping: float) -> gtsam.GaussianFactorGraph:
+    """Levenberg's damping: every variable held with ``sqrt(damping)``."""
+    import gtsam
+
+    out = linear.clone()
+    zero = values.zeroVectors()
+    weight = np.sqrt(damping)
+    for key in values.keys():
+        size = len(zero.at(key))
+        noise = gtsam.noiseModel.Unit.Create(size)
+        out.push_back(gtsam.JacobianFactor(key, weight * np.eye(size), np.zeros(size), noise))
+    return out

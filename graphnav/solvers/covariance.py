@@ -1,0 +1,130 @@
+"""Covariances of all keyframes from the square-root information matrix.
+
+GTSAM's marginals go through Cholesky and fail on sound problems. Here the Bayes tree that QR left is walked from its roots:
+with ``R x_f + S x_p = d`` for the frontal variables f and the separator p of a clique,
+``G = -R^-1 S``, ``P_fp = G P_pp``, ``P_ff = R^-1 R^-T + G P_pp G'``
+(G. Golub and R. Plemmons, Linear Algebra Appl. 34 (1980); the separator's block is known from the parent clique).
+No step subtracts, so no step can fail for a well-posed problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.linalg.lapack import dtrtri
+
+from factors.so3 import Array
+from graphnav.errors import SolveError
+
+if TYPE_CHECKING:
+    import gtsam
+
+
+class _Clique:
+    """Joint covariance of one clique's variables: rows of each key, and how many children still need it."""
+
+    __slots__ = ("cov", "rows", "waiting")
+
+    def __init__(self, cov: Array, rows: dict[int, slice], waiting: int) -> None:
+        self.cov, self.rows, self.waiting = cov, rows, waiting
+
+    def block(self, keys: Iterable[int]) -> Array:
+        index = np.concatenate([np.arange(self.rows[k].start, self.rows[k].stop) for k in keys])
+        return self.cov[np.ix_(index, index)]
+
+
+def joint_marginals(
+    tree: gtsam.GaussianBayesTree,
+    elimination_order: gtsam.KeyVector | list[int],
+    dims: Callable[[int], int],
+    groups: dict[int, tuple[int, ...]],
+    progress: Callable[[float, float], None] | None = None,
+) -> dict[int, Array]:
+    """Joint covariances of groups of variables.
+
+    Parameters
+    ----------
+    tree : Bayes tree from QR elimination.
+    elimination_order : keys in the order they were eliminated.
+    dims : size of a variable by key.
+    groups : name -> keys whose joint covariance is wanted; the keys of a group must share a factor, which guarantees that
+        some clique holds them all.
+
+    Returns
+    -------
+    name -> covariance, blocks in the order of the group's keys.
+
+    Raises
+    ------
+    SolveError : a variable without information, by key.
+    """
+    wanted: dict[int, list[int]] = {}
+    for name, keys in groups.items():
+        for key in keys:
+            wanted.setdefault(key, []).append(name)
+    found: dict[int, Array] = {}
+    open_cliques: dict[int, _Clique] = {}
+    owner: dict[int, int] = {}
+    order = list(elimination_order)
+    for done, key in enumerate(reversed(order)):
+        if key in owner:
+            continue
+        clique = _solve_clique(tree[key], open_cliques, owner, dims)
+        for frontal in clique.rows:
+            for name in wanted.get(frontal, ()):
+                if name not in found and all(k in clique.rows for k in groups[name]):
+                    found[name] = clique.block(groups[name])
+        if progress is not None and done % 4096 == 0:
+            progress(done, len(order))
+    missing = set(groups) - set(found)
+    if missing:
+        raise SolveError(f"no clique holds all variables of group {min(missing)}")
+    return found
+
+
+def _solve_clique(node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], dims: Callable[[int], int]) -> _Clique:
+    conditional = node.conditional()
+    if conditional.isConstrained():
+        raise SolveError("a hard constraint (a sigma of zero, or below 1e-8 in GTSAM's eyes) has no square-root information")
+    r, s = conditional.R(), conditional.S()
+    keys = conditional.keys()
+    frontal_dim, rows, frontals, at = r.shape[0], {}, [], 0
+    for key in keys:
+        rows[key] = slice(at, at + dims(key))
+        if at < frontal_dim:
+            frontals.append(key)
+        at += dims(key)
+    inverse, status = dtrtri(np.asfortranarray(r))
+    if status != 0:
+        raise SolveError(f"no information about variable {_name(frontals, rows, status - 1)}")
+    cov = np.empty((at, at))
+    cov[:frontal_dim, :frontal_dim] = inverse @ inverse.T
+    if at > frontal_dim:
+        separators = keys[len(frontals):]
+        # the parent holds the separator variable that was eliminated first, so it was opened last
+        parent_id = max(owner[k] for k in separators)
+        parent = open_cliques[parent_id]
+        p_pp = parent.block(separators)
+        gain = -inverse @ s
+        p_fp = gain @ p_pp
+        cov[:frontal_dim, :frontal_dim] += p_fp @ gain.T
+        cov[:frontal_dim, frontal_dim:] = p_fp
+        cov[frontal_dim:, :frontal_dim] = p_fp.T
+        cov[frontal_dim:, frontal_dim:] = p_pp
+        parent.waiting -= 1
+        if parent.waiting == 0:
+            del open_cliques[parent_id]
+    clique = _Clique(cov, rows, node.nrChildren())
+    identity = len(owner)
+    for key in frontals:
+        owner[key] = identity
+    if clique.waiting:
+        open_cliques[identity] = clique
+    return clique
+
+
+def _name(frontals: list[int], rows: dict[int, slice], row: int) -> str:
+    key = next(k for k in frontals if rows[k].start <= row < rows[k].stop)
+    return f"{chr(key >> 56).upper()}({key & ((1 << 56) - 1)})"
