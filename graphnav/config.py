@@ -84,13 +84,15 @@ class Isam2Config(_Section):
     """Incremental smoothing."""
 
     keyframes_per_update: int = Field(1, ge=1)
-    relinearize_skip: int = Field(10, ge=1)
-    wildfire_threshold: float = Field(1e-3, ge=0)
-    threshold_attitude_rad: float = Field(0.003, gt=0)
-    threshold_position_m: float = Field(0.1, gt=0)
-    threshold_velocity_m_s: float = Field(0.05, gt=0)
-    threshold_calibration: float = Field(0.005, gt=0)
-    threshold_bias: float = Field(0.002, gt=0)
+    relinearize_skip: int = Field(100, ge=1)
+    wildfire_threshold: float = Field(1e-9, ge=0)
+    threshold_attitude_rad: float = Field(0.01, gt=0)
+    threshold_position_m: float = Field(10.0, gt=0)
+    threshold_velocity_m_s: float = Field(0.2, gt=0)
+    threshold_scale: float = Field(0.01, gt=0)
+    threshold_mounting_rad: float = Field(0.01, gt=0)
+    threshold_accel_bias_m_s2: float = Field(0.05, gt=0)
+    threshold_gyro_bias_rad_s: float = Field(1e-3, gt=0)
 
 
 class Config(_Section):

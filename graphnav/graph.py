@@ -304,19 +304,20 @@ def creep_cycles(problem: Problem) -> list[int]:
     return sorted({p.cycle for p in problem.frontend.closed_path})
 
 
-def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
-    """All factors in order of the last keyframe they need."""
+def _common_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
+    """Everything but the odometer's displacements."""
     found = _priors(problem)
     found += [FactorAt(i + 1, factor) for i, factor in enumerate(data.imu_factors)]
     found += _epoch_walks(problem)
-    found += _odometer_factors(problem, data)
+    if problem.config.odometer.form == "velocity":
+        found += _velocity_factors(problem, data)
     found += _rest_factors(problem)
     found += _closed_path_factors(problem)
     huber = problem.config.position.huber
     for t, pos_n, sigma_n in problem.frontend.fixes:
         i = problem.frontend.index(t)
         found.append(FactorAt(i, position.position_factor(X(i), pos_n, sigma_n, huber)))
-    return sorted(found, key=lambda f: f.keyframe)
+    return found
 
 
 def _priors(problem: Problem) -> list[FactorAt]:
@@ -369,28 +370,59 @@ def _epoch_walks(problem: Problem) -> list[FactorAt]:
     return found
 
 
-def _odometer_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
-    if problem.log.odometer is None or data.travel is None:
-        return []
-    if problem.config.odometer.form == "velocity":
-        return _velocity_factors(problem, data)
+def displacement_family(problem: Problem, data: Preintegrated) -> odometry.DisplacementFamily | None:
+    """The odometer preintegrated over every interval that has samples, or None where it is not used so."""
+    odometer, travel = problem.log.odometer, data.travel
+    if odometer is None or travel is None or problem.config.odometer.form != "displacement":
+        return None
+    used = np.flatnonzero(travel.samples)
+    forward = odometer.sigma_m_s * np.sqrt(travel.weight2_s2[used])
+    # slip is independent each second: its displacement grows with the square root of time
+    slip = odometer.slip_sigma_m_s * np.sqrt(np.diff(problem.keyframe_s)[used])
+    return odometry.DisplacementFamily(
+        key_i=X(0) + used,
+        key_j=X(0) + used + 1,
+        calibration_key=C(0) + problem.calibration_epoch[used],
+        distance_m=travel.distance_m[used],
+        mean_b=travel.mean_b[used],
+        sigma_m=np.column_stack([slip, forward, slip]),
+        lever_arm_b=odometer.lever_arm_b_m,
+    )
+
+
+@dataclass(frozen=True)
+class SmoothingGraph:
+    """The whole problem as batch solvers see it: native factors, and the odometer's as arrays."""
+
+    native: gtsam.NonlinearFactorGraph
+    displacements: odometry.DisplacementFamily | None
+
+    def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
+        """Whitened linear factors of everything."""
+        linear = self.native.linearize(values)
+        if self.displacements is not None:
+            self.displacements.linearize_into(linear, values)
+        return linear
+
+
+def build_graph(problem: Problem, data: Preintegrated) -> SmoothingGraph:
+    """The problem for a batch solver."""
     import gtsam
 
-    odometer, travel = problem.log.odometer, data.travel
-    lever = odometer.lever_arm_b_m
-    length = np.diff(problem.keyframe_s)
-    forward = odometer.sigma_m_s * np.sqrt(travel.weight2_s2)
-    # slip is independent each second: its displacement grows with the square root of time
-    slip = odometer.slip_sigma_m_s * np.sqrt(length)
-    found = []
-    for i in np.flatnonzero(travel.samples):
-        noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([slip[i], forward[i], slip[i]]))
-        key = C(int(problem.calibration_epoch[i]))
-        factor = odometry.displacement_factor(
-            X(i), X(i + 1), key, float(travel.distance_m[i]), travel.mean_b[i], noise, lever
-        )
-        found.append(FactorAt(int(i) + 1, factor))
-    return found
+    native = gtsam.NonlinearFactorGraph()
+    for found in _common_factors(problem, data):
+        native.add(found.factor)
+    return SmoothingGraph(native, displacement_family(problem, data))
+
+
+def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
+    """All factors one by one, in order of the last keyframe they need, for an incremental solver."""
+    found = _common_factors(problem, data)
+    family = displacement_family(problem, data)
+    if family is not None:
+        last = (family.key_j - X(0)).tolist()
+        found += [FactorAt(j, family.factor(k)) for k, j in enumerate(last)]
+    return sorted(found, key=lambda f: f.keyframe)
 
 
 def _velocity_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
@@ -398,7 +430,8 @@ def _velocity_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
     import gtsam
 
     odometer = problem.log.odometer
-    assert odometer is not None
+    if odometer is None:
+        return []
     t = problem.keyframe_s
     step = float(np.median(np.diff(odometer.t_s)))
     noise = gtsam.noiseModel.Diagonal.Sigmas(

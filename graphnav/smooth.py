@@ -11,15 +11,19 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from factors.so3 import Array, to_quaternion
 from graphnav import graph as build
+from graphnav._spill import release
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
+from graphnav.frontends.rest import rest_spans
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.graph import B, C, K, Preintegrated, Problem, V, X
 from graphnav.initial import States
@@ -101,8 +105,8 @@ def smooth(
 
             log = read(log)
     with stages.stage("frontend"):
+        refuse_wrong_units(log, rest_spans(log))
         frontend = run_frontend(log, config)
-        refuse_wrong_units(log, frontend.rest_s)
         problem = build.pose_problem(log, config, frontend)
     solver = _solve_batch if method == "batch" else _solve_isam2
     solved = solver(problem, stages)
@@ -114,23 +118,16 @@ def smooth(
         )
     with stages.stage("covariance") as tick:
         blocks = _covariances(problem, solved.result, tick) if config.covariance else None
+        # half a gigabyte for a shift, and of no further use
+        solved.result = replace(solved.result, bayes_tree=None)
     return _report(problem, solved, blocks, method, stages)
 
 
 class _Solved:
-    """A solver's outcome with the preintegration it belongs to."""
+    """A solver's outcome, with the causal states of an incremental one."""
 
-    def __init__(self, result: batch.BatchResult, data: Preintegrated, causal: States | None = None) -> None:
-        self.result, self.data, self.causal = result, data, causal
-
-
-def _graph_of(factors: list[build.FactorAt]) -> gtsam.NonlinearFactorGraph:
-    import gtsam
-
-    graph = gtsam.NonlinearFactorGraph()
-    for f in factors:
-        graph.add(f.factor)
-    return graph
+    def __init__(self, result: batch.BatchResult, causal: States | None = None) -> None:
+        self.result, self.causal = result, causal
 
 
 def _solve_batch(problem: Problem, stages: _Stages) -> _Solved:
@@ -138,9 +135,9 @@ def _solve_batch(problem: Problem, stages: _Stages) -> _Solved:
     config = problem.config.batch
     with stages.stage("assemble") as tick:
         start, gyro_bias = build.start_state(problem)
-        data = build.preintegrate(problem, gyro_bias, np.zeros(3), tick)
+        data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
         values = build.initial_values(problem, data, start)
-        graph = _graph_of(build.build_factors(problem, data))
+        graph = build.build_graph(problem, data)
     history: list[batch.Iteration] = []
     for round_ in range(config.bias_move_rounds):
         with stages.stage("solve") as tick:
@@ -159,11 +156,11 @@ def _solve_batch(problem: Problem, stages: _Stages) -> _Solved:
         if not moved or not result.converged or round_ == config.bias_move_rounds - 1:
             break
         with stages.stage("assemble") as tick:
-            data = build.preintegrate(problem, gyro, accel, tick)
+            data = _preintegrate(problem, gyro, accel, tick)
             values = result.values
-            graph = _graph_of(build.build_factors(problem, data))
+            graph = build.build_graph(problem, data)
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return _Solved(result, data)
+    return _Solved(result)
 
 
 def _solve_isam2(problem: Problem, stages: _Stages) -> _Solved:
@@ -171,18 +168,29 @@ def _solve_isam2(problem: Problem, stages: _Stages) -> _Solved:
     config = problem.config
     with stages.stage("assemble") as tick:
         start, gyro_bias = build.start_state(problem)
-        data = build.preintegrate(problem, gyro_bias, np.zeros(3), tick)
+        data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
         factors = build.build_factors(problem, data)
     with stages.stage("solve") as tick:
         passed = incremental.solve(problem, data, factors, start, config.isam2, tick)
-        graph = _graph_of(factors)
+        del factors
+        graph = build.build_graph(problem, data)
         result = batch.solve(
             graph,
             passed.values,
             max_iterations=config.batch.max_iterations,
             tolerance_sigma=config.batch.tolerance_sigma,
         )
-    return _Solved(result, data, passed.causal)
+    return _Solved(result, passed.causal)
+
+
+def _preintegrate(
+    problem: Problem, gyro: Array, accel: Array, progress: Callable[[float, float], None] | None
+) -> Preintegrated:
+    """Preintegrate, and let go of the raw samples' memory: the solve needs it."""
+    data = build.preintegrate(problem, gyro, accel, progress)
+    samples = problem.imu.samples
+    release(samples.gyro_b, samples.accel_b)
+    return data
 
 
 def estimated_biases(problem: Problem, values: gtsam.Values) -> tuple[Array, Array]:
@@ -212,7 +220,7 @@ def biases_moved(problem: Problem, data: Preintegrated, gyro: Array, accel: Arra
 def _covariances(
     problem: Problem, result: batch.BatchResult, progress: Callable[[float, float], None] | None
 ) -> dict[int, Array]:
-    groups = {X(i): (X(i), V(i)) for i in range(len(problem.keyframe_s))}
+    groups: dict[int, tuple[int, ...]] = {X(i): (X(i), V(i)) for i in range(len(problem.keyframe_s))}
     last_bias = B(int(problem.bias_epoch[-1]))
     groups[last_bias] = (last_bias,)
     if problem.has_calibration:
@@ -220,6 +228,7 @@ def _covariances(
         groups[last] = (last,)
     for c in build.creep_cycles(problem):
         groups[K(c)] = (K(c),)
+    assert result.bayes_tree is not None
     return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
 
 
@@ -295,3 +304,20 @@ def _warnings(problem: Problem) -> list[str]:
     if not len(problem.frontend.rest_s) and problem.log.odometer is not None:
         found.append("no rest found: gyro and accelerometer biases are weakly separable; record a minute at rest first")
     return found
+
+
+class _CallableModule(ModuleType):
+    """This module and its function share the name ``graphnav.smooth``: see `graphnav._PUBLIC`."""
+
+    def __call__(
+        self,
+        log: SensorLog | str | Path,
+        config: Config | None = None,
+        method: str = "batch",
+        progress: ProgressHook | None = None,
+    ) -> Run:
+        """See `smooth`."""
+        return smooth(log, config, method, progress)
+
+
+sys.modules[__name__].__class__ = _CallableModule

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from graphnav._schema import Record
+from graphnav._spill import allocate
 from graphnav.errors import LogError
 from graphnav.log import TABLES
 from graphnav.readers.sections import hint, shown
@@ -125,7 +126,7 @@ def _is_present(f: dataclasses.Field[Any], names: list[str], where: str) -> bool
 
 def _field(f: dataclasses.Field[Any], table: TableFile, rows: int) -> npt.NDArray[Any]:
     names, kind = f.metadata["columns"], f.metadata["kind"]
-    out = np.empty((rows, len(names)), dtype=_DTYPES.get(kind, object))
+    out = allocate((rows, len(names)), _DTYPES.get(kind, object))
     for j, name in enumerate(names):
         start = 0
         for part in table.column(name, kind):

@@ -5,20 +5,14 @@ Kept for comparison. It counts the information of each cycle again in the next o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from factors import closed_path, so3
-from graphnav.graph import C, Problem, X
+from graphnav.graph import C, Problem, SmoothingGraph, X
 from graphnav.solvers import batch
 
-if TYPE_CHECKING:
-    import gtsam
-
-
 def solve_cycle_by_cycle(
-    problem: Problem, graph: gtsam.NonlinearFactorGraph, result: batch.BatchResult
+    problem: Problem, graph: SmoothingGraph, result: batch.BatchResult
 ) -> batch.BatchResult:
     """Add each cycle's predictions from the estimate so far and solve again, in the order the cycles were cut.
 
@@ -38,7 +32,7 @@ def solve_cycle_by_cycle(
             predicted = pose[:3, 3] + to_n @ np.array([point.push_m, face.creep_m, 0.0])
             sigma_m = np.array([face.push_sigma_m, face.along_sigma_m, face.push_sigma_m])
             noise = gtsam.noiseModel.Gaussian.Covariance(to_n @ np.diag(sigma_m**2) @ to_n.T)
-            graph.add(closed_path.absolute_factor(X(j), predicted, noise))
+            graph.native.add(closed_path.absolute_factor(X(j), predicted, noise))
         again = batch.solve(
             graph, result.values, max_iterations=config.max_iterations, tolerance_sigma=config.tolerance_sigma
         )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -34,6 +34,13 @@ class Iteration:
     seconds: float
 
 
+class Linearizable(Protocol):
+    """A nonlinear least-squares problem: a GTSAM graph, or one beside families of factors linearized as arrays."""
+
+    def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
+        """Whitened linear factors at the given values."""
+
+
 @dataclass(frozen=True)
 class BatchResult:
     """Estimates with the square-root information they were solved from.
@@ -46,14 +53,14 @@ class BatchResult:
     """
 
     values: gtsam.Values
-    bayes_tree: gtsam.GaussianBayesTree
+    bayes_tree: gtsam.GaussianBayesTree | None
     iterations: tuple[Iteration, ...]
     converged: bool
     order: list[int]
 
 
 def solve(
-    graph: gtsam.NonlinearFactorGraph,
+    graph: Linearizable,
     values: gtsam.Values,
     *,
     max_iterations: int = 25,
@@ -75,31 +82,40 @@ def solve(
     iterations: list[Iteration] = []
     linear = graph.linearize(values)
     ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-    zero = values.zeroVectors()
-    converged = False
+    error = linear.error(values.zeroVectors())
+    if not np.isfinite(error):
+        raise SolveError("the error is not finite at the start: check the log for impossible values")
     while True:
         began = time.perf_counter()
-        error = linear.error(zero)
-        if not np.isfinite(error):
-            raise SolveError("the error is not finite at the start: check the log for impossible values")
-        tree = _eliminate(linear, ordering)
+        tree = eliminate(linear, ordering)
         delta = tree.optimize()
         step = float(np.sqrt(max(2 * (error - linear.error(delta)), 0.0)))
-        last = step <= tolerance_sigma
-        values, linear, damping = _descend(graph, linear, values, ordering, delta, error, last)
+        moved = values.retract(delta)
+        converged = step <= tolerance_sigma
+        damping, next_error = 0.0, error
+        if not converged:
+            # linear and tree are large: at no time hold two of either
+            del tree, linear
+            linear = graph.linearize(moved)
+            next_error = linear.error(moved.zeroVectors())
+            if not next_error <= error * (1 + 1e-9):
+                del linear
+                moved, linear, next_error, damping = _damped_step(graph, values, ordering, error)
         iterations.append(Iteration(error, step, damping, time.perf_counter() - began))
+        values, error = moved, next_error
         if progress is not None:
             progress(len(iterations), max_iterations)
-        if last and damping == 0:
-            converged = True
+        if converged:
             break
-        if len(iterations) >= max_iterations:
+        if len(iterations) == max_iterations:
+            tree = eliminate(linear, ordering)
             break
     order = [ordering.at(k) for k in range(ordering.size())]
     return BatchResult(values, tree, tuple(iterations), converged, order)
 
 
-def _eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesTree:
+def eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesTree:
+    """Multifrontal QR."""
     import gtsam
 
     try:
@@ -108,32 +124,19 @@ def _eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> g
         raise SolveError(f"the problem is singular: {str(error).strip().splitlines()[0]}") from None
 
 
-def _descend(
-    graph: gtsam.NonlinearFactorGraph,
-    linear: gtsam.GaussianFactorGraph,
-    values: gtsam.Values,
-    ordering: gtsam.Ordering,
-    delta: gtsam.VectorValues,
-    error: float,
-    last: bool,
-) -> tuple[gtsam.Values, gtsam.GaussianFactorGraph, float]:
-    """The next values, the graph linearized there and the damping that made the error fall.
-
-    The error at the new point is read off its linearization, so an accepted step costs nothing more.
-    """
-    moved = values.retract(delta)
-    if last:
-        return moved, linear, 0.0
-    again = graph.linearize(moved)
-    if again.error(moved.zeroVectors()) <= error * (1 + 1e-9):
-        return moved, again, 0.0
+def _damped_step(
+    graph: Linearizable, values: gtsam.Values, ordering: gtsam.Ordering, error: float
+) -> tuple[gtsam.Values, gtsam.GaussianFactorGraph, float, float]:
+    """Raise the damping until a step lowers the error: the new values, their linearization and error, the damping."""
+    linear = graph.linearize(values)
     damping = _FIRST_DAMPING
     while damping <= _MAX_DAMPING:
-        step = _eliminate(_damped(linear, values, damping), ordering).optimize()
+        step = eliminate(_damped(linear, values, damping), ordering).optimize()
         moved = values.retract(step)
         again = graph.linearize(moved)
-        if again.error(moved.zeroVectors()) < error:
-            return moved, again, damping
+        moved_error = again.error(moved.zeroVectors())
+        if moved_error < error:
+            return moved, again, moved_error, damping
         damping *= 10
     raise SolveError("no step lowers the error: the initial values are too far off, or measurements contradict each other")
 

@@ -56,11 +56,11 @@ def parameters(config: Isam2Config) -> gtsam.ISAM2Params:
     for letter, values in (
         ("x", [attitude] * 3 + [position] * 3),
         ("v", [config.threshold_velocity_m_s] * 3),
-        ("b", [config.threshold_bias] * 6),
-        ("c", [config.threshold_calibration] * 4),
+        ("b", [config.threshold_accel_bias_m_s2] * 3 + [config.threshold_gyro_bias_rad_s] * 3),
+        ("c", [config.threshold_scale] + [config.threshold_mounting_rad] * 3),
         ("k", [position]),
     ):
-        thresholds.insert(gtsam.ISAM2ThresholdMapValue(letter, np.array(values)))
+        thresholds.insert((letter, np.array(values)))
     params.setRelinearizeThreshold(thresholds)
     params.enableRelinearization = True
     params.evaluateNonlinearError = False
@@ -118,10 +118,19 @@ class _Session:
         self.reeliminated += result.getVariablesReeliminated()
 
     def read(self, i: int) -> None:
-        """Take the latest estimate of keyframe i."""
-        pose = self.isam.calculateEstimatePose3(X(i)).matrix()
+        """Take the latest estimate of keyframe i.
+
+        From its marginal, which needs the cliques above it alone; iSAM2's own estimate would first solve for all variables.
+        """
+        import gtsam
+
+        steps = {}
+        for key in (X(i), V(i)):
+            conditional = self.isam.marginalFactor(key, gtsam.EliminateQR)
+            steps[key] = np.linalg.solve(conditional.R(), conditional.d())
+        pose = self.theta.atPose3(X(i)).retract(steps[X(i)]).matrix()
         self.rotation, self.pos = pose[:3, :3], pose[:3, 3]
-        self.vel = self.isam.calculateEstimateVector(V(i))
+        self.vel = self.theta.atVector(V(i)) + steps[V(i)]
 
 
 def solve(
