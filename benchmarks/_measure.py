@@ -1,6 +1,7 @@
 """Measured runs, each in a process of its own: its peak memory is that run's and nothing else's.
 
-The parent stays small (standard library only): Linux counts what a child shared with its parent before `exec` to the child.
+The parent stays small (standard library only), since Linux may count to a child what it shared with its parent before
+`exec`.
 """
 
 from __future__ import annotations

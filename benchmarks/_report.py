@@ -1,4 +1,7 @@
-"""The one object that every script prints: machine, versions, rows. Standard library only, so that a parent stays small."""
+"""The one object that every script prints: machine, versions, rows.
+
+Standard library only, so that a parent of measured processes stays small.
+"""
 
 from __future__ import annotations
 
@@ -134,7 +137,9 @@ def publish(rows: Iterable[Row], as_json: bool, before: dict[str, Any]) -> None:
     print(f"{'':{width}}  {'value':>11} {'unit':7} {'peer':>11} {'ratio':>7}  target")
     for r in rows:
         verdict = "" if r.met is None else f"{r.target}: {'met' if r.met else 'NOT MET'}"
-        print(f"{r.name:{width}}  {_cell(r.value):>11} {r.unit:7} {_cell(r.peer):>11} {_cell(r.ratio, 3):>7}  {verdict}")
+        print(
+            f"{r.name:{width}}  {_cell(r.value):>11} {r.unit:7} {_cell(r.peer):>11} {_cell(r.ratio, 3):>7}  {verdict}"
+        )
 
 
 def _cell(value: float | None, digits: int = 5) -> str:

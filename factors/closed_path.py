@@ -79,7 +79,7 @@ def advance_noise(push_sigma_m: float, along_sigma_m: float) -> gtsam.noiseModel
 def creeping_factor(
     key_i: int, key_j: int, calibration_key: int, creep_key: int, advance_m: Array, noise: gtsam.noiseModel.Base
 ) -> gtsam.CustomFactor:
-    """`relative_factor` with an unknown creep (Vector1, m): a shift of the whole line along the face, ``D_m[y] + creep``."""
+    """`relative_factor` with an unknown creep (Vector1, m), a shift of the line along the face: ``D_m[y] + creep``."""
     import gtsam
 
     def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:

@@ -100,7 +100,9 @@ def compensated_increments(
     f = samples.accel_b[row] + f_dot * offset - _per_interval(accel_bias_b, interval)
     w_f = np.cross(w, f)
     angle = w * h + np.cross(w, w_dot) * h**3 / 12
-    velocity = (f + w_f * h / 2 + np.cross(w, w_f) * h**2 / 6) * h + (np.cross(w, f_dot) + np.cross(f, w_dot)) * h**3 / 12
+    velocity = (f + w_f * h / 2 + np.cross(w, w_f) * h**2 / 6) * h + (
+        np.cross(w, f_dot) + np.cross(f, w_dot)
+    ) * h**3 / 12
 
     first_piece, first = _group(edge, interval, len(boundaries_s) - 1, minor_s)
     rotation, total = Rotation.identity(len(first_piece) - 1), np.zeros((len(first_piece) - 1, 3))
@@ -130,7 +132,8 @@ def _pieces(edges: Array, boundaries: Array) -> tuple[Array, npt_int, npt_int]:
     tolerance = 1e-6
     if boundaries[0] < edges[0] - tolerance or boundaries[-1] > edges[-1] + tolerance:
         raise ValueError(
-            f"boundaries {boundaries[0]:.6f}..{boundaries[-1]:.6f} s outside the samples {edges[0]:.6f}..{edges[-1]:.6f} s"
+            f"boundaries {boundaries[0]:.6f}..{boundaries[-1]:.6f} s"
+            f" outside the samples {edges[0]:.6f}..{edges[-1]:.6f} s"
         )
     inside = edges[(edges > boundaries[0]) & (edges < boundaries[-1])]
     near = np.clip(np.searchsorted(boundaries, inside), 1, len(boundaries) - 1)

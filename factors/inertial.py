@@ -117,14 +117,13 @@ def preintegrations(
     # GTSAM removes the bias itself: give back what compensation took.
     rate = increments.rotation_b / increments.dt_s[:, None] + gyro_bias_b[interval]
     force = increments.velocity_b / increments.dt_s[:, None] + accel_bias_b[interval]
-    many = params if isinstance(params, list) else None
-    reused = None if many else gtsam.PreintegratedImuMeasurements(params, gtsam.imuBias.ConstantBias())
+    each = params if isinstance(params, list) else [params]
+    pim = gtsam.PreintegratedImuMeasurements(each[0], gtsam.imuBias.ConstantBias())
     for k in range(count):
         bias = gtsam.imuBias.ConstantBias(accel_bias_b[k], gyro_bias_b[k])
-        if many:
-            pim = gtsam.PreintegratedImuMeasurements(many[k], bias)
+        if len(each) > 1:
+            pim = gtsam.PreintegratedImuMeasurements(each[k], bias)
         else:
-            pim = reused
             pim.resetIntegrationAndSetBias(bias)
         for m in range(increments.first[k], increments.first[k + 1]):
             pim.integrateMeasurement(force[m], rate[m], increments.dt_s[m])
@@ -188,8 +187,9 @@ def predict(
 ) -> tuple[Array, Array, Array]:
     """States after the motions ``motion[index]``, started at the given states; all (K, ...).
 
-    Forster et al. (2017), equation 26, on the rotating Earth to first order in its turn: with ``a(s)`` the specific force
-    in the axes of n at the start, ``v = v_0 + g t + int a - Omega x int s a - 2 Omega x (p - p_0)`` and its integral.
+    Forster et al. (2017), equation 26, on the rotating Earth to first order in its turn: with ``a(s)`` the specific
+    force in the axes of n at the start, ``v = v_0 + g t + int a - Omega x int s a - 2 Omega x (p - p_0)`` and its
+    integral.
     """
     t = motion.elapsed_s[index][:, None]
     gravity = np.array([0.0, 0.0, -gravity_m_s2])
@@ -197,7 +197,7 @@ def predict(
     force_p = np.einsum("kij,kj->ki", rotation_nb, motion.position_b[index])
     free = vel_n * t + gravity * t**2 / 2 + force_p
     velocity = vel_n + gravity * t + force_v - np.cross(earth_rate_n, t * force_v - force_p + 2 * free)
-    position = pos_n + free - np.cross(earth_rate_n, force_p * t / 3 + vel_n * t**2)
+    position = pos_n + free - np.cross(earth_rate_n, t * force_p + vel_n * t**2 + gravity * t**3 / 3)
     rotation = so3.exp(-earth_rate_n * t) @ rotation_nb @ motion.rotation[index]
     return rotation, position, velocity
 

@@ -23,6 +23,7 @@ from factors.so3 import Array
 if TYPE_CHECKING:
     import gtsam
 
+
 def velocity_residual(
     rotation_nb: Array, vel_n: Array, calibration: Array, speed_m_s: Array, rate_b: Array, lever_arm_b: Array
 ) -> tuple[Array, Array, Array, Array]:
@@ -59,13 +60,14 @@ def displacement_residual(
 ) -> tuple[Array, Array, Array, Array]:
     """Odometer preintegrated over an interval: displacement of the odometer between two keyframes.
 
-    Zheng (2021), equations 1-4, integrated over the interval with the gyro's attitude: ``e = (1 + scale) m - [0, D, 0]`` with
-    ``m = Exp(alpha) M^T (R_i^T (p_j + R_j l - p_i) - l)`` the displacement in the mean machine frame of the interval and D the
-    measured distance.
+    Zheng (2021), equations 1-4, integrated over the interval with the gyro's attitude: ``e = (1 + scale) m - [0, D,
+    0]`` with ``m = Exp(alpha) M^T (R_i^T (p_j + R_j l - p_i) - l)`` the displacement in the mean machine frame of the
+    interval and D the measured distance.
 
     Parameters
     ----------
-    rotation_i, rotation_j : (..., 3, 3) R_nb; pos_i, pos_j : (..., 3) in n, m; calibration : (..., 4) [scale, alpha rad].
+    rotation_i, rotation_j : (..., 3, 3) R_nb; pos_i, pos_j : (..., 3) in n, m; calibration : (..., 4) [scale, alpha
+        rad].
     distance_m : (...,) D and mean_b : (..., 3, 3) M, from `preintegrate_speed`; lever_arm_b : (3,) odometer in b, m.
 
     Returns
@@ -85,11 +87,12 @@ def displacement_residual(
 
 
 def _scaled_error(travelled_b: Array, calibration: Array, measured: Array) -> tuple[Array, Array, Array]:
-    """``e = (1 + scale) Exp(alpha) x - [0, measured, 0]`` with its Jacobians by x (..., 3, 3) and calibration (..., 3, 4).
+    """``e = (1 + scale) Exp(alpha) x - [0, measured, 0]`` with its Jacobians by x (..., 3, 3) and calibration (...,
+    3, 4).
 
     The gain multiplies all three rows, as in Zheng (2021), equation 3. Leaving it off the lateral rows, or dividing the
-    measurement by it, biases the scale factor by several sigma: slip that shrinks with the estimated path, and noise that
-    shrinks with the estimated gain, both favour a short path (docs/decisions/0002).
+    measurement by it, biases the scale factor by several sigma: slip that shrinks with the estimated path, and noise
+    that shrinks with the estimated gain, both favour a short path (docs/decisions/0002).
     """
     alpha = calibration[..., 1:]
     to_m = so3.exp(alpha)
@@ -140,7 +143,7 @@ def preintegrate_speed(t_s: Array, speed_m_s: Array, boundaries_s: Array, motion
     start, length = boundaries_s[:-1], np.diff(boundaries_s)
 
     def total(values: Array) -> Array:
-        return np.bincount(interval, values, minlength=count)
+        return np.asarray(np.bincount(interval, values, minlength=count), dtype=float)
 
     tau = t_s - start[interval]
     samples = np.bincount(interval, minlength=count)
@@ -152,7 +155,9 @@ def preintegrate_speed(t_s: Array, speed_m_s: Array, boundaries_s: Array, motion
     rotation = _rotation_at(motion, interval, tau)
 
     def total_matrix(values: Array) -> Array:
-        return np.column_stack([total(entry) for entry in (values[:, None, None] * rotation).reshape(-1, 9).T]).reshape(-1, 3, 3)
+        return np.column_stack([total(entry) for entry in (values[:, None, None] * rotation).reshape(-1, 9).T]).reshape(
+            -1, 3, 3
+        )
 
     travel = total_matrix(weight * speed_m_s)
     length_sum, way = total(weight * speed_m_s), total(weight * np.abs(speed_m_s))
@@ -167,7 +172,7 @@ def preintegrate_speed(t_s: Array, speed_m_s: Array, boundaries_s: Array, motion
 def _nearest_rotation(matrix: Array) -> Array:
     """The rotation nearest to a sum of rotations that differ little (polar decomposition)."""
     u, _, vt = np.linalg.svd(matrix)
-    return u @ vt
+    return np.asarray(u @ vt)
 
 
 def _rotation_at(motion: Motion, interval: np.ndarray[tuple[int, ...], np.dtype[np.int64]], tau: Array) -> Array:
@@ -201,7 +206,7 @@ def velocity_factor(
             rotation,
             values.atVector(velocity_key),
             values.atVector(calibration_key),
-            np.float64(speed_m_s),
+            np.asarray(speed_m_s),
             rate_b,
             lever_arm_b,
         )
@@ -233,7 +238,7 @@ def displacement_factor(
             pose_j[:3, :3],
             pose_j[:3, 3],
             values.atVector(calibration_key),
-            np.float64(distance_m),
+            np.asarray(distance_m),
             mean_b,
             lever_arm_b,
         )

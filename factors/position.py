@@ -12,7 +12,9 @@ if TYPE_CHECKING:
     import gtsam
 
 
-def position_factor(pose_key: int, pos_n: Array, sigma_n: Array | float, huber: float | None = None) -> gtsam.NonlinearFactor:
+def position_factor(
+    pose_key: int, pos_n: Array, sigma_n: Array | float, huber: float | None = None
+) -> gtsam.NonlinearFactor:
     """A measured position of the body: ``e = p_n - measured`` (native `PoseTranslationPrior3D`).
 
     Parameters

@@ -60,7 +60,8 @@ def log(matrix: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     matrix = np.asarray(matrix, float)
-    return Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_rotvec().reshape(matrix.shape[:-1])
+    out: Array = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_rotvec()
+    return out.reshape(matrix.shape[:-1])
 
 
 def from_quaternion(quat: Array) -> Array:
@@ -68,7 +69,7 @@ def from_quaternion(quat: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     quat = np.asarray(quat, float)
-    out = Rotation.from_quat(quat.reshape(-1, 4), scalar_first=True).as_matrix()
+    out: Array = Rotation.from_quat(quat.reshape(-1, 4), scalar_first=True).as_matrix()
     return out.reshape((*quat.shape[:-1], 3, 3))
 
 
@@ -77,5 +78,5 @@ def to_quaternion(matrix: Array) -> Array:
     from scipy.spatial.transform import Rotation
 
     matrix = np.asarray(matrix, float)
-    out = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    out: Array = Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
     return out.reshape((*matrix.shape[:-2], 4))

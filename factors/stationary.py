@@ -1,9 +1,9 @@
 """Rest: zero velocity, and zero rotation rate but for the Earth's.
 
-In a graph with preintegrated gyro samples rest is two native factors: zero velocity at a keyframe, and an unchanged pose
-between two keyframes; the latter makes the IMU factor between them measure the gyro bias (zero rate less Earth rate)
-without using a gyro sample twice. `zero_rate_residual` is the same statement for estimators that hold the mean rate
-itself (a filter, or a graph without IMU factors over the rest).
+In a graph with preintegrated gyro samples rest is two native factors: zero velocity at a keyframe, and an unchanged
+pose between two keyframes; the latter makes the IMU factor between them measure the gyro bias (zero rate less Earth
+rate) without using a gyro sample twice. `zero_rate_residual` is the same statement for estimators that hold the mean
+rate itself (a filter, or a graph without IMU factors over the rest).
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     import gtsam
 
 
-def zero_rate_residual(rotation_nb: Array, gyro_bias_b: Array, rate_b: Array, earth_rate_n: Array) -> tuple[Array, Array, Array]:
+def zero_rate_residual(
+    rotation_nb: Array, gyro_bias_b: Array, rate_b: Array, earth_rate_n: Array
+) -> tuple[Array, Array, Array]:
     """Mean gyro rate at rest, less bias and Earth rate: ``e = w - b_g - R_nb^T Omega_n``, rad/s.
 
     Source: the gyro error model of Zheng et al. (2021), equation 13, at rest (``w_nb = 0``).

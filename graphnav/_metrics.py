@@ -97,9 +97,7 @@ def nees(error: Array, cov: Array, t_s: Array) -> float | None:
     smallest = np.linalg.eigvalsh(cov[known])[:, 0]
     if smallest.min() <= 0:
         when = t_s[known][int(np.argmin(smallest))]
-        raise GraphnavError(
-            f"covariance at {when:.3f} s is not positive definite (eigenvalue {smallest.min():.3g})"
-        )
+        raise GraphnavError(f"covariance at {when:.3f} s is not positive definite (eigenvalue {smallest.min():.3g})")
     weighted = np.linalg.solve(cov[known], error[known][:, :, None])[:, :, 0]
     return float(np.mean(np.sum(error[known] * weighted, axis=1)) / 3)
 

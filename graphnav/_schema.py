@@ -22,7 +22,7 @@ Kind = Literal["float", "int", "str", "list"]
 def column(*names: str, kind: Kind = "float", positive: bool = False, optional: bool = False) -> Any:
     """A table column, or several that form the rows of an ``(N, k)`` array."""
     meta = {"columns": names, "kind": kind, "positive": positive, "optional": optional}
-    return field(default=None if optional else MISSING, metadata=meta)  # type: ignore[call-overload]
+    return field(default=None if optional else MISSING, metadata=meta)
 
 
 def param(
@@ -132,7 +132,9 @@ def _check_column(record: Record, f: dataclasses.Field[Any], value: Any) -> npt.
 
 
 def _check_table(record: Record) -> None:
-    lengths = {f.name: len(getattr(record, f.name)) for f in record.column_fields() if getattr(record, f.name) is not None}
+    lengths = {
+        f.name: len(getattr(record, f.name)) for f in record.column_fields() if getattr(record, f.name) is not None
+    }
     if len(set(lengths.values())) > 1:
         raise record.error(f"columns of different lengths: {lengths}")
     times = getattr(record, record.TIME)

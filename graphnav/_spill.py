@@ -1,7 +1,8 @@
-"""Large arrays in unlinked temporary files, so that a shift's raw samples need not stay in memory while the graph is solved.
+"""Large arrays in unlinked temporary files, so that a shift's raw samples need not stay in memory while the graph is
+solved.
 
-A solve of 7 h takes 0.5 GB for its Bayes tree alone; the 2.5 million IMU rows behind it are read once before and perhaps
-once after. In a mapped file the operating system may drop their pages, and `release` asks it to.
+A solve of 7 h takes 0.5 GB for its Bayes tree alone; the 2.5 million IMU rows behind it are read once before and
+perhaps once after. In a mapped file the operating system may drop their pages, and `release` asks it to.
 """
 
 from __future__ import annotations

@@ -63,9 +63,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
-        prog="graphnav", description="Offline factor-graph smoothing of recorded navigation logs."
-    )
+    parser = _Parser(prog="graphnav", description="Offline factor-graph smoothing of recorded navigation logs.")
     parser.add_argument("--version", action="version", version=f"graphnav {__version__}")
     group = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for add in (_add_demo, _add_info, _add_import, _add_simulate, _add_smooth, _add_evaluate):
@@ -90,9 +88,7 @@ def _command(group: Any, name: str, run: Any, text: str, example: str) -> argpar
 def _add_demo(group: Any) -> None:
     text = "Simulate a shearer and take a recorded drive, smooth both, judge and draw them."
     parser = _command(group, "demo", commands.demo, text, "graphnav demo -o demo")
-    parser.add_argument(
-        "-o", "--output", type=Path, default=Path("graphnav-demo"), metavar="DIR", help="%(default)s"
-    )
+    parser.add_argument("-o", "--output", type=Path, default=Path("graphnav-demo"), metavar="DIR", help="%(default)s")
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
 
 
@@ -142,17 +138,13 @@ def _add_smooth(group: Any) -> None:
     parser.add_argument("log", type=Path, metavar="LOG", help="log folder")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
     parser.add_argument("--method", choices=("batch", "isam2"), default="batch", help="default %(default)s")
-    parser.add_argument(
-        "--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults"
-    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults")
     parser.add_argument("--overwrite", action="store_true", help="replace RUN whatever it holds")
 
 
 def _add_evaluate(group: Any) -> None:
     text = "Judge a run by the truth in its log."
-    parser = _command(
-        group, "evaluate", commands.evaluate, text, "graphnav evaluate run/ shift/ --plot run.png"
-    )
+    parser = _command(group, "evaluate", commands.evaluate, text, "graphnav evaluate run/ shift/ --plot run.png")
     parser.add_argument("folder", type=Path, metavar="RUN", help="run folder")
     parser.add_argument("log", type=Path, metavar="LOG", help="log folder with truth")
     parser.add_argument("--json", action="store_true", help="print JSON")

@@ -84,13 +84,14 @@ class Isam2Config(_Section):
     """Incremental smoothing."""
 
     keyframes_per_update: int = Field(1, ge=1)
-    relinearize_skip: int = Field(100, ge=1)
+    relinearize_skip: int = Field(100, ge=1, description="keyframes between checks for relinearization, at least")
+    relinearize_growth: float = Field(0.1, ge=0, description="and as a share of the keyframes so far")
     wildfire_threshold: float = Field(1e-9, ge=0)
-    threshold_attitude_rad: float = Field(0.01, gt=0)
-    threshold_position_m: float = Field(10.0, gt=0)
-    threshold_velocity_m_s: float = Field(0.2, gt=0)
-    threshold_scale: float = Field(0.01, gt=0)
-    threshold_mounting_rad: float = Field(0.01, gt=0)
+    threshold_attitude_rad: float = Field(0.001, gt=0)
+    threshold_position_m: float = Field(1.0, gt=0)
+    threshold_velocity_m_s: float = Field(0.1, gt=0)
+    threshold_scale: float = Field(0.001, gt=0)
+    threshold_mounting_rad: float = Field(0.001, gt=0)
     threshold_accel_bias_m_s2: float = Field(0.05, gt=0)
     threshold_gyro_bias_rad_s: float = Field(1e-3, gt=0)
 

@@ -117,9 +117,7 @@ def _drive(folder: Path, progress: ProgressHook | None) -> tuple[Run, WithheldEr
     return run, withheld_error(run.trajectory, withheld)
 
 
-def _smoothed(
-    log: SensorLog, folder: Path, progress: ProgressHook | None, config: dict[str, Any] | None = None
-) -> Run:
+def _smoothed(log: SensorLog, folder: Path, progress: ProgressHook | None, config: dict[str, Any] | None = None) -> Run:
     """Write the log, so that it can be smoothed again by hand, and smooth it."""
     from graphnav.config import Config
     from graphnav.readers import write

@@ -2,6 +2,17 @@
 
 from __future__ import annotations
 
+import re
+
+#: Letter of a variable's key -> what it is, and what determines it.
+_VARIABLES = {
+    "x": ("the pose of keyframe", "[initial], the odometer and the position table"),
+    "v": ("the velocity of keyframe", "[initial], the IMU and the odometer"),
+    "b": ("the IMU bias of epoch", "the bias sigmas in [imu]"),
+    "c": ("the odometer calibration of epoch", "scale_sigma and mounting_sigma_deg in [odometer]"),
+    "k": ("the creep after cycle", "creep_sigma_m in [face]"),
+}
+
 
 class GraphnavError(Exception):
     """Base of every error that graphnav raises on purpose; its text is one line for the user."""
@@ -53,3 +64,15 @@ class ConfigError(GraphnavError):
 
 class SolveError(GraphnavError):
     """The smoothing could not produce a converged, complete trajectory."""
+
+    @classmethod
+    def singular(cls, error: Exception) -> SolveError:
+        """GTSAM's report of an indeterminate system in the user's words: which variable, and what determines it."""
+        found = re.search(r"\b([xvbck])(\d+)\b|\b(\d{16,20})\b", str(error))
+        if found is None:
+            return cls(f"the problem is singular: {str(error).strip().splitlines()[0]}")
+        letter, number = found[1], int(found[2] or found[3])
+        if letter is None:
+            letter, number = chr(number >> 56), number & ((1 << 56) - 1)
+        what, missing = _VARIABLES.get(letter, ("variable", "its measurements"))
+        return cls(f"the problem is singular: nothing determines {what} {number}; check {missing}")

@@ -1,7 +1,8 @@
 """From log, configuration and keyframes to factors and initial values.
 
 Variables: ``X(i)`` pose T_nb and ``V(i)`` velocity at keyframe i, ``B(e)`` IMU bias and ``C(e)`` odometer calibration
-[scale, mounting angles] in epochs, ``K(c)`` creep after cycle c. Epochs keep every variable's number of factors bounded.
+[scale, mounting angles] in epochs, ``K(c)`` creep after cycle c. Epochs keep every variable's number of factors
+bounded.
 """
 
 from __future__ import annotations
@@ -166,7 +167,7 @@ def pose_problem(log: SensorLog, config: Config, frontend: Frontend) -> Problem:
 
 
 def _epochs(t: Array, span_s: float) -> npt_int:
-    return np.floor((t[:-1] - t[0]) / span_s + 1e-9).astype(np.int64)
+    return np.asarray(np.floor((t[:-1] - t[0]) / span_s + 1e-9), dtype=np.int64)
 
 
 def _check_odometer_gaps(log: SensorLog, config: Config) -> None:
@@ -219,7 +220,11 @@ def preintegrate(
             imu_factors.append(gtsam.ImuFactor(X(i), V(i), X(i + 1), V(i + 1), B(int(problem.bias_epoch[i])), pim))
         if progress is not None:
             progress(hi, count)
-    travel = Travel(*(np.concatenate(parts) for parts in zip(*(_fields(x) for x in travels), strict=True))) if travels else None
+    travel = (
+        Travel(*(np.concatenate(parts) for parts in zip(*(_fields(x) for x in travels), strict=True)))
+        if travels
+        else None
+    )
     joined = [np.concatenate(parts) for parts in zip(*(_fields(m)[1:] for m in motions), strict=True)]
     return Preintegrated(gyro_bias_b, accel_bias_b, imu_factors, Motion(np.arange(count + 1), *joined), travel)
 
@@ -231,7 +236,9 @@ def _fields(x: Motion | Travel) -> list[Array]:
 def _ends(motion: Motion) -> Motion:
     last = motion.first[1:] - 1
     first = np.arange(len(last) + 1)
-    return Motion(first, motion.elapsed_s[last], motion.rotation[last], motion.velocity_b[last], motion.position_b[last])
+    return Motion(
+        first, motion.elapsed_s[last], motion.rotation[last], motion.velocity_b[last], motion.position_b[last]
+    )
 
 
 def _interval_params(
@@ -298,6 +305,7 @@ def initial_values(problem: Problem, data: Preintegrated, start: States) -> gtsa
 
 
 def creep_cycles(problem: Problem) -> list[int]:
+    """Cycles after which an unknown creep is estimated: all with closed-path points, where creep is declared."""
     face = problem.log.face
     if face is None or face.creep_sigma_m == 0 or problem.config.closed_path.form != "relative":
         return []
@@ -460,7 +468,7 @@ def _rest_factors(problem: Problem) -> list[FactorAt]:
     for start, end in problem.frontend.rest_s:
         inside = np.flatnonzero((t >= start - 1e-6) & (t <= end + 1e-6))
         for i in inside:
-            found.append(FactorAt(int(i), stationary.zero_velocity_factor(V(i), config.velocity_sigma_m_s)))
+            found.append(FactorAt(int(i), stationary.zero_velocity_factor(V(int(i)), config.velocity_sigma_m_s)))
         for i in inside[1:]:
             factor = stationary.unmoved_factor(X(i - 1), X(i), attitude, config.position_sigma_m)
             found.append(FactorAt(int(i), factor))
@@ -470,8 +478,8 @@ def _rest_factors(problem: Problem) -> list[FactorAt]:
 def _closed_path_factors(problem: Problem) -> list[FactorAt]:
     """Relative closed-path factors; the absolute form needs estimates and is added by the solvers.
 
-    Between the ends of the face two passes are matched by the odometer, whose samples the graph already holds: along the
-    face they say nothing new there (decision 0003), so that row is left as wide as the face.
+    Between the ends of the face two passes are matched by the odometer, whose samples the graph already holds: along
+    the face they say nothing new there (decision 0003), so that row is left as wide as the face.
     """
     face = problem.log.face
     if face is None or problem.config.closed_path.form != "relative":

@@ -33,11 +33,13 @@ def rest_bias(samples: Samples, rest_s: Array, rotation_nb: Array, earth_rate_n:
     inside = (samples.edge_s[:-1] >= rest_s[0, 0]) & (samples.edge_s[1:] <= rest_s[0, 1])
     if not inside.any():
         return np.zeros(3)
-    return samples.gyro_b[inside].mean(axis=0) - rotation_nb.T @ earth_rate_n
+    return np.asarray(samples.gyro_b[inside].mean(axis=0) - rotation_nb.T @ earth_rate_n)
 
 
-def levelled(samples: Samples, rest_s: Array, rotation_nb: Array, start_s: float, tilt_sigma_rad: float, tilt_noise_rad: float) -> Array:
-    """The declared attitude, its tilt replaced by the accelerometers' where the log starts at rest and they know better."""
+def levelled(
+    samples: Samples, rest_s: Array, rotation_nb: Array, start_s: float, tilt_sigma_rad: float, tilt_noise_rad: float
+) -> Array:
+    """The declared attitude, its tilt from the accelerometers where the log starts at rest and they know better."""
     at_start = len(rest_s) and rest_s[0, 0] - start_s < 2.0
     if not at_start or tilt_noise_rad > tilt_sigma_rad:
         return rotation_nb
@@ -65,8 +67,8 @@ def dead_reckoning(
 ) -> States:
     """States at all keyframes.
 
-    Attitude is the gyro's. Position is, in this order of preference: the odometer's displacements; the fixes, interpolated;
-    the integrated IMU.
+    Attitude is the gyro's. Position is, in this order of preference: the odometer's displacements; the fixes,
+    interpolated; the integrated IMU.
 
     Parameters
     ----------

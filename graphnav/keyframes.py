@@ -86,7 +86,9 @@ def place_keyframes(start_s: float, end_s: float, wanted_s: Array, config: Confi
     return np.union1d(wanted, regular[apart > _NEAR * interval])
 
 
-def _fixes(log: SensorLog, cycles: tuple[Cycle, ...], start: float, end: float) -> tuple[tuple[float, Array, Array], ...]:
+def _fixes(
+    log: SensorLog, cycles: tuple[Cycle, ...], start: float, end: float
+) -> tuple[tuple[float, Array, Array], ...]:
     """Absolute positions and surveyed points within the record, in order of time."""
     found = []
     if log.position is not None:

@@ -1,7 +1,7 @@
 """The pipeline: a recorded log in, the best trajectory it supports out, with covariances.
 
-Frontend (cycles, closed path, rest, keyframes) - assemble (preintegration, factors, dead-reckoned initial values) - solve
-(batch or iSAM2) - covariances.
+Frontend (cycles, closed path, rest, keyframes) - assemble (preintegration, factors, dead-reckoned initial values) -
+solve (batch or iSAM2) - covariances.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class _Solved:
 
 
 def _solve_batch(problem: Problem, stages: _Stages) -> _Solved:
-    """Solve; where the biases moved too far for their first-order correction, preintegrate at the better ones and repeat."""
+    """Solve; where the biases moved too far for first-order correction, preintegrate at the better ones and repeat."""
     config = problem.config.batch
     with stages.stage("assemble") as tick:
         start, gyro_bias = build.start_state(problem)
@@ -204,9 +204,9 @@ def estimated_biases(problem: Problem, values: gtsam.Values) -> tuple[Array, Arr
 def biases_moved(problem: Problem, data: Preintegrated, gyro: Array, accel: Array) -> bool:
     """Whether the estimates left the range where first-order bias correction is exact enough.
 
-    Within a minor interval of length T a gyro bias error turns the force by half of it, an acceleration ``g db T / 2``; it
-    must stay below a thousandth of the accelerometer's declared bias. The second-order term over an interval between
-    keyframes of length D, ``g db^2 D^2 / 6``, likewise.
+    Within a minor interval of length T a gyro bias error turns the force by half of it, an acceleration ``g db T /
+    2``; it must stay below a thousandth of the accelerometer's declared bias. The second-order term over an interval
+    between keyframes of length D, ``g db^2 D^2 / 6``, likewise.
     """
     gyro_moved = np.abs(gyro - data.gyro_bias_b).max()
     accel_moved = np.abs(accel - data.accel_bias_b).max()
@@ -232,9 +232,7 @@ def _covariances(
     return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
 
 
-def _report(
-    problem: Problem, solved: _Solved, blocks: dict[int, Array] | None, method: str, stages: _Stages
-) -> Run:
+def _report(problem: Problem, solved: _Solved, blocks: dict[int, Array] | None, method: str, stages: _Stages) -> Run:
     import gtsam
 
     values, count = solved.result.values, len(problem.keyframe_s)
@@ -307,7 +305,7 @@ def _warnings(problem: Problem) -> list[str]:
 
 
 class _CallableModule(ModuleType):
-    """This module and its function share the name ``graphnav.smooth``: see `graphnav._PUBLIC`."""
+    """Module and function share the name ``graphnav.smooth``: see `graphnav._PUBLIC`."""
 
     def __call__(
         self,

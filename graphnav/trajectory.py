@@ -56,7 +56,13 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         count = len(self.t_s)
-        shapes = {"t_s": (count,), "pos_n": (count, 3), "quat_nb": (count, 4), "vel_n": (count, 3), "cov": (count, 9, 9)}
+        shapes = {
+            "t_s": (count,),
+            "pos_n": (count, 3),
+            "quat_nb": (count, 4),
+            "vel_n": (count, 3),
+            "cov": (count, 9, 9),
+        }
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is None and name == "cov":
@@ -79,10 +85,10 @@ class Trajectory:
     def at(self, t_s: Array | float) -> Trajectory:
         """The trajectory at any times within its span.
 
-        With a `bridge` the IMU is integrated from the keyframe before each time, and what is left at the keyframe after it
-        is spread over the interval (attitude linearly; position and velocity by the cubic that meets both states). Without
-        one: cubic Hermite positions and spherical linear attitudes. The covariance between keyframes is the linear
-        interpolation of theirs.
+        With a `bridge` the IMU is integrated from the keyframe before each time, and what is left at the keyframe
+        after it is spread over the interval (attitude linearly; position and velocity by the cubic that meets both
+        states). Without one: cubic Hermite positions and spherical linear attitudes. The covariance between keyframes
+        is the linear interpolation of theirs.
 
         Raises
         ------
@@ -145,7 +151,10 @@ class Trajectory:
         motion = cumulate(Increments(at_keyframe, fine.dt_s, fine.rotation_b, fine.velocity_b))
         rotation_nb = self.rotation_nb[lo : hi + 1]
 
-        def carried(rows: np.ndarray[tuple[int, ...], np.dtype[np.int64]], minor: np.ndarray[tuple[int, ...], np.dtype[np.int64]]) -> tuple[Array, Array, Array]:
+        def carried(
+            rows: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
+            minor: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
+        ) -> tuple[Array, Array, Array]:
             return predict(
                 rotation_nb[rows],
                 self.pos_n[lo + rows],

@@ -129,10 +129,7 @@ KEYS = {
 
 FILES = {
     "two endings": (
-        lambda f: (
-            parquet("odometer", t_s=[0.0], speed_m_s=[0.0])(f)
-            or text("odometer.csv", "t_s,speed_m_s\n0,0\n")(f)
-        ),
+        lambda f: parquet("odometer", t_s=[0.0], speed_m_s=[0.0])(f) or text("odometer.csv", "t_s,speed_m_s\n0,0\n")(f),
         ["shift_042/odometer.parquet: the table is there twice, also as odometer.csv", "remove one"],
     ),
     "unknown table": (

@@ -27,14 +27,10 @@ def machine(duration_s, *moves, seed=0, wobble_rad_s=0.1, shake=(0.0, 0.0), zero
     rng = np.random.default_rng(seed)
     t = np.arange(1, round(duration_s * 100) + 1) / 100
     speed = profile(t, *moves)
-    swing = np.outer(
-        np.sin(2 * np.pi * t + rng.uniform(0, 6)) * np.abs(speed) / 0.3, rng.choice([-1.0, 1.0], 3)
-    )
+    swing = np.outer(np.sin(2 * np.pi * t + rng.uniform(0, 6)) * np.abs(speed) / 0.3, rng.choice([-1.0, 1.0], 3))
     bias = np.deg2rad(rng.normal(0, 720, 3)) / 3600
     gyro = bias + wobble_rad_s * swing + rng.normal(0, np.hypot(GYRO_NOISE, shake[0]), (len(t), 3))
-    accel = rng.normal(
-        rng.normal([0, 0, GRAVITY], 0.003 * GRAVITY), np.hypot(ACCEL_NOISE, shake[1]), (len(t), 3)
-    )
+    accel = rng.normal(rng.normal([0, 0, GRAVITY], 0.003 * GRAVITY), np.hypot(ACCEL_NOISE, shake[1]), (len(t), 3))
     accel += 1.5 * wobble_rad_s * swing  # gravity seen from a frame that tilts
     accel[:, 1] += np.gradient(speed, 0.01)
     measured = 0.0 if zero_speed else speed[9::10] + rng.normal(0, 0.01, len(t) // 10)

@@ -55,9 +55,7 @@ def small_log(rows: int = 20) -> gl.SensorLog:
         accel_b_m_s2=rng.normal([0, 0, GRAVITY], 1e-2, (rows, 3)),
         **imu_params(),
     )
-    odometer = gl.Odometer(
-        t_s=imu.t_s[::10], speed_m_s=rng.normal(0, 0.01, (rows + 9) // 10), **odometer_params()
-    )
+    odometer = gl.Odometer(t_s=imu.t_s[::10], speed_m_s=rng.normal(0, 0.01, (rows + 9) // 10), **odometer_params())
     return gl.SensorLog(name="small", frames=gl.Frames(35.0), initial=initial(), imu=imu, odometer=odometer)
 
 
@@ -83,9 +81,7 @@ def every_sensor_log() -> gl.SensorLog:
         push=gl.Push(t_s=[0.1, 0.1], cycle=[1, 1], s_m=[0.0, 2.0], push_m=[0.4, 1 / 3]),
         position=gl.Position(t_s=t, pos_n_m=rng.normal(size=(3, 3)), sigma_n_m=np.full((3, 3), 0.07)),
         lidar=gl.Lidar(range_sigma_m=0.01, angle_sigma_deg=0.05, mounting_sigma_deg=[0.01, 0.01, 0.5]),
-        lidar_points=gl.LidarPoints(
-            t_s=[0.1, 0.1], feature=[7, 2**40], range_m=[4.0, 5.0], angle_rad=[0.1, -0.1]
-        ),
+        lidar_points=gl.LidarPoints(t_s=[0.1, 0.1], feature=[7, 2**40], range_m=[4.0, 5.0], angle_rad=[0.1, -0.1]),
         lidar_scans=gl.LidarScans(
             t_s=[0.1, 0.2],
             angle_min_rad=[-1.0, -1.0],
@@ -119,7 +115,5 @@ def every_sensor_log() -> gl.SensorLog:
             quat=quaternions(rng, 2),
             cov_upper=rng.normal(size=(2, 21)) * 1e-300,
         ),
-        truth=gl.Truth(
-            t_s=t, pos_n_m=rng.normal(size=(3, 3)), quat_nb=quaternions(rng, 3), vel_n_m_s=np.zeros((3, 3))
-        ),
+        truth=gl.Truth(t_s=t, pos_n_m=rng.normal(size=(3, 3)), quat_nb=quaternions(rng, 3), vel_n_m_s=np.zeros((3, 3))),
     )

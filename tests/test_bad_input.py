@@ -31,11 +31,7 @@ def copied(folder: Path, place: Path) -> Path:
 
 @pytest.mark.parametrize(
     ("change", "fragments"),
-    [
-        pytest.param(*case, id=name)
-        for group in (HEADER, KEYS, FILES, COLUMNS, VALUES)
-        for name, case in group.items()
-    ],
+    [pytest.param(*case, id=name) for group in (HEADER, KEYS, FILES, COLUMNS, VALUES) for name, case in group.items()],
 )
 def test_a_broken_log_is_refused(valid, tmp_path, change, fragments):
     folder = copied(valid, tmp_path)

@@ -86,9 +86,7 @@ def test_help_names_every_scenario_option_and_method(capsys: pytest.CaptureFixtu
         (["import", "csv", "-o", "log"], "'csv'"),
     ],
 )
-def test_wrong_use_is_one_line_and_status_2(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_use_is_one_line_and_status_2(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(words) == 2
     out, err = capsys.readouterr()
     assert out == ""
@@ -145,9 +143,7 @@ def test_smooth_writes_a_run_with_its_figures(shift: Path, run: Path) -> None:
     assert max(summary["errors"]["max_m"]) < 0.3  # three minutes, 12 m of travel
 
 
-def test_smooth_shows_the_smoother_no_truth(
-    shift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_smooth_shows_the_smoother_no_truth(shift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     original, seen = smooth_module.smooth, []
 
     def watched(log: Any, **options: Any) -> Any:
@@ -167,9 +163,7 @@ def test_isam2_and_a_configuration_file(shift: Path, tmp_path: Path) -> None:
     assert "interval_s = 2.0" in (tmp_path / "run" / "config.toml").read_text()
 
 
-def test_configuration_errors_name_the_key(
-    shift: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_configuration_errors_name_the_key(shift: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "my.toml").write_text("[keyframes]\ninterval = 2.0\n")
     words = ["smooth", str(shift), "-o", str(tmp_path / "run"), "--config", str(tmp_path / "my.toml")]
     assert cli.main(words) == 2

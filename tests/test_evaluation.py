@@ -22,9 +22,7 @@ def quaternions(rotvec: np.ndarray) -> np.ndarray:
 
 def make_log(truth: Truth | None, events: Events | None = None) -> SensorLog:
     position = Position(t_s=[0.0], pos_n_m=[[0.0, 0.0, 0.0]], sigma_n_m=[[1.0, 1.0, 1.0]])
-    return SensorLog(
-        name="made", frames=Frames(latitude_deg=35.0), position=position, truth=truth, events=events
-    )
+    return SensorLog(name="made", frames=Frames(latitude_deg=35.0), position=position, truth=truth, events=events)
 
 
 def straight_truth(end_s: float = 100.0, speed: float = 1.0) -> Truth:
@@ -33,9 +31,7 @@ def straight_truth(end_s: float = 100.0, speed: float = 1.0) -> Truth:
     return Truth(t_s=t, pos_n_m=pos, quat_nb=np.tile(IDENTITY, (len(t), 1)))
 
 
-def trajectory_of(
-    truth: Truth, t_s: np.ndarray, error: np.ndarray, cov: np.ndarray | None = None
-) -> Trajectory:
+def trajectory_of(truth: Truth, t_s: np.ndarray, error: np.ndarray, cov: np.ndarray | None = None) -> Trajectory:
     known, pos, quat = truth_at(truth, t_s)
     assert known.all()
     return Trajectory(t_s, pos + error, quat, np.zeros((len(t_s), 3)), cov)
@@ -60,9 +56,7 @@ def test_ate_of_a_square_stretched_by_one_percent() -> None:
     np.testing.assert_allclose(align(1.01 * corners, corners), 1.01 * corners, atol=1e-12)
     t = np.arange(4.0)
     truth = Truth(t_s=t, pos_n_m=corners, quat_nb=np.tile(IDENTITY, (4, 1)))
-    found = evaluate(
-        Trajectory(t, 1.01 * corners, np.tile(IDENTITY, (4, 1)), np.zeros((4, 3))), make_log(truth)
-    )
+    found = evaluate(Trajectory(t, 1.01 * corners, np.tile(IDENTITY, (4, 1)), np.zeros((4, 3))), make_log(truth))
     assert found.ate_m == pytest.approx(0.01 * np.sqrt(2), abs=1e-12)
 
 
@@ -70,9 +64,7 @@ def test_alignment_undoes_any_rigid_motion_and_never_mirrors() -> None:
     rng = np.random.default_rng(1)
     onto = rng.normal(size=(20, 3))
     rotation = Rotation.from_rotvec([0.4, -1.2, 2.0])
-    np.testing.assert_allclose(
-        align(rotation.apply(onto) + np.array([1.0, 2.0, 3.0]), onto), onto, atol=1e-12
-    )
+    np.testing.assert_allclose(align(rotation.apply(onto) + np.array([1.0, 2.0, 3.0]), onto), onto, atol=1e-12)
     mirrored = onto * [1.0, 1.0, -1.0]
     assert np.abs(align(mirrored, onto) - onto).max() > 0.1
     flat = onto * [1.0, 1.0, 0.0]  # the plane leaves the sign of the third singular vector open
@@ -145,9 +137,7 @@ def test_nees_of_errors_drawn_from_the_covariance() -> None:
     cov[:, 3:6, 3:6] = root @ root.T
     t = np.arange(count) + 0.5
     _, pos, quat = truth_at(truth, t)
-    att = Rotation.from_quat(quat, scalar_first=True) * Rotation.from_rotvec(
-        rng.normal(size=(count, 3)) * att_sigma
-    )
+    att = Rotation.from_quat(quat, scalar_first=True) * Rotation.from_rotvec(rng.normal(size=(count, 3)) * att_sigma)
     drawn = Trajectory(
         t,
         pos + rng.normal(size=(count, 3)) @ root.T,
@@ -242,9 +232,7 @@ def test_errors_for_what_cannot_be_judged() -> None:
     with pytest.raises(GraphnavError, match="made has no truth table"):
         evaluate(run, make_log(None))
     late = Trajectory(run.t_s + 1000, run.pos_n, run.quat_nb, run.vel_n)
-    with pytest.raises(
-        GraphnavError, match=r"covers 0\.000 to 100\.000 s and no keyframe of the run, 1000\.000"
-    ):
+    with pytest.raises(GraphnavError, match=r"covers 0\.000 to 100\.000 s and no keyframe of the run, 1000\.000"):
         evaluate(late, make_log(truth))
     lone = Truth(t_s=[0.0], pos_n_m=np.zeros((1, 3)), quat_nb=[IDENTITY])
     with pytest.raises(LogError, match="truth: 1 row"):
@@ -254,9 +242,7 @@ def test_errors_for_what_cannot_be_judged() -> None:
 def test_withheld_positions() -> None:
     cov = np.tile(0.01 * np.eye(9), (101, 1, 1))
     t = np.arange(101.0)
-    run = Trajectory(
-        t, np.outer(t, [0.0, 1.0, 0.0]), np.tile(IDENTITY, (101, 1)), np.tile([0.0, 1, 0], (101, 1)), cov
-    )
+    run = Trajectory(t, np.outer(t, [0.0, 1.0, 0.0]), np.tile(IDENTITY, (101, 1)), np.tile([0.0, 1, 0], (101, 1)), cov)
     when = np.array([-5.0, 10.5, 20.5, 30.5, 200.0])
     pos = np.outer(when, [0.0, 1.0, 0.0]) + np.array([0.0, 0.0, 0.3])
     found = withheld_error(run, Position(t_s=when, pos_n_m=pos, sigma_n_m=np.full((5, 3), 0.2)))

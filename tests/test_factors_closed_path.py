@@ -50,10 +50,14 @@ def test_relative_residual_is_the_papers_equation() -> None:
 def test_push_is_along_the_machines_right_axis() -> None:
     """A machine that points north is pushed east."""
     north = np.eye(3)
-    error = closed_path.relative_residual(north, np.zeros(3), np.array([0.4, 0, 0]), np.zeros(4), np.array([0.4, 0, 0]))[0]
+    error = closed_path.relative_residual(
+        north, np.zeros(3), np.array([0.4, 0, 0]), np.zeros(4), np.array([0.4, 0, 0])
+    )[0]
     assert np.allclose(error, 0)
     west = so3.exp(np.array([0, 0, np.pi / 2]))
-    error = closed_path.relative_residual(west, np.zeros(3), np.array([0, 0.4, 0]), np.zeros(4), np.array([0.4, 0, 0]))[0]
+    error = closed_path.relative_residual(west, np.zeros(3), np.array([0, 0.4, 0]), np.zeros(4), np.array([0.4, 0, 0]))[
+        0
+    ]
     assert np.allclose(error, 0)
 
 
@@ -89,7 +93,7 @@ def test_factors_are_their_residual(angle: float) -> None:
         arguments = poses[0][:3, :3], poses[0][:3, 3], poses[1][:3, 3], values.atVector(2)
         plain = closed_path.relative_factor(0, 1, 2, ADVANCE, noise)
         creeping = closed_path.creeping_factor(0, 1, 2, 3, ADVANCE, noise)
-        shifted = closed_path.relative_residual(*arguments, ADVANCE + [0, -0.2, 0])[0]
+        shifted = closed_path.relative_residual(*arguments, ADVANCE + np.array([0, -0.2, 0]))[0]
         assert np.allclose(plain.unwhitenedError(values), closed_path.relative_residual(*arguments, ADVANCE)[0])
         assert np.allclose(creeping.unwhitenedError(values), shifted)
         sigmas = np.array([0.03, 0.5, 0.03])  # right, forward, up
@@ -103,7 +107,7 @@ def test_creep_is_added_along_the_face() -> None:
     values = values_at(0.4, np.zeros(3))
     noise = closed_path.advance_noise(0.03, 0.03)
     creeping = closed_path.creeping_factor(0, 1, 2, 3, ADVANCE, noise)
-    plain = closed_path.relative_factor(0, 1, 2, ADVANCE + [0, -0.2, 0], noise)
+    plain = closed_path.relative_factor(0, 1, 2, ADVANCE + np.array([0, -0.2, 0]), noise)
     assert np.allclose(creeping.unwhitenedError(values), plain.unwhitenedError(values), atol=1e-14)
 
 
@@ -119,7 +123,7 @@ def test_relative_factor_is_a_native_between_factor_where_the_machine_does_not_t
     native = gtsam.BetweenFactorPose3(0, 1, gtsam.Pose3(gtsam.Rot3(), ADVANCE), unit(6))
     ours = closed_path.relative_factor(0, 1, 2, ADVANCE, unit(3))
     assert np.allclose(analytic(ours, values)[0][:, :12], analytic(native, values)[0][3:], atol=1e-12)
-    values.update(1, gtsam.Pose3(gtsam.Rot3(rotation), pos_i + rotation @ (ADVANCE + [0.02, -0.05, 0.01])))
+    values.update(1, gtsam.Pose3(gtsam.Rot3(rotation), pos_i + rotation @ (ADVANCE + np.array([0.02, -0.05, 0.01]))))
     assert np.allclose(ours.unwhitenedError(values), native.unwhitenedError(values)[3:], atol=1e-12)
 
 

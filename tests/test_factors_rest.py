@@ -116,7 +116,7 @@ def test_one_sigma_stands_for_three() -> None:
 def test_huber_loss_bounds_the_weight_of_an_outlier() -> None:
     values = at_rest(0.0)
     here = values.atPose3(0).translation()
-    near, far = here + [0.01, 0, 0], here + [10.0, 0, 0]
+    near, far = here + np.array([0.01, 0, 0]), here + np.array([10.0, 0, 0])
     for measured, share in ((near, 1.0), (far, np.sqrt(1.5 * 0.1 / 10.0))):
         plain = position.position_factor(0, measured, 0.1)
         robust = position.position_factor(0, measured, 0.1, huber=1.5)

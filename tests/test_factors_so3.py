@@ -29,7 +29,9 @@ def test_exp_is_the_matrix_exponential(angle: float) -> None:
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-5, 1e-3, 0.3, 2.0, np.pi - 1e-3, np.pi - 1e-7])
 def test_log_undoes_exp(angle: float) -> None:
-    assert np.allclose(so3.log(so3.exp(vectors(angle))), vectors(angle), rtol=0, atol=1e-14 + 2e-16 / max(np.pi - angle, 1e-2))
+    assert np.allclose(
+        so3.log(so3.exp(vectors(angle))), vectors(angle), rtol=0, atol=1e-14 + 2e-16 / max(np.pi - angle, 1e-2)
+    )
 
 
 def test_log_at_half_a_turn_gives_either_of_the_two_vectors() -> None:

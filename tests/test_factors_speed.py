@@ -79,14 +79,18 @@ def test_one_sample_stands_for_its_whole_interval() -> None:
 def test_turning_and_changing_speed(speed: tuple[float, float], rate: tuple[float, ...]) -> None:
     """Against a fine quadrature of ``R(t) [0, v(t), 0]``."""
     bounds = np.array([0.0, 1.0])
-    travel = preintegrate_speed(REGULAR[:10], speed[0] + speed[1] * REGULAR[:10], bounds, turning(bounds, np.array(rate)))
+    travel = preintegrate_speed(
+        REGULAR[:10], speed[0] + speed[1] * REGULAR[:10], bounds, turning(bounds, np.array(rate))
+    )
     u = (np.arange(20_000) + 0.5) / 20_000
     axes = so3.exp(np.outer(u, rate))[:, :, 1]
     exact = np.mean(axes * (speed[0] + speed[1] * u)[:, None], axis=0)
     # Two approximations, both far below the slip of a machine: the quadrature is exact to linear order only (the
     # ten samples lie at the ends of their tenths: 1/600 of the second derivative), and the mean frame is the
     # nearest rotation, whose forward axis differs from the chord by products of rates about two axes, over 24.
-    curvature = np.linalg.norm(np.gradient(np.gradient(axes * (speed[0] + speed[1] * u)[:, None], u, axis=0), u, axis=0), axis=1)
+    curvature = np.linalg.norm(
+        np.gradient(np.gradient(axes * (speed[0] + speed[1] * u)[:, None], u, axis=0), u, axis=0), axis=1
+    )
     allowed = 1.2 * curvature.max() / 600 + np.linalg.norm(exact) * np.linalg.norm(rate) ** 2 / 24
     assert allowed < 2e-3
     assert np.linalg.norm(vector(travel)[0] - exact) < allowed

@@ -133,9 +133,7 @@ def test_parquet_as_other_programs_write_it(tmp_path):
     odometer = pa.table({"t_s": [0, 1], "speed_m_s": pa.array([0.1, 0.2], pa.float32())})
     pq.write_table(odometer, tmp_path / "log" / "odometer.parquet")
     kinds = pa.array(["cut_start", "cut_end"]).dictionary_encode()
-    pq.write_table(
-        pa.table({"t_s": [0.05, 0.1], "kind": kinds, "cycle": [1, 1]}), tmp_path / "log" / "events.parquet"
-    )
+    pq.write_table(pa.table({"t_s": [0.05, 0.1], "kind": kinds, "cycle": [1, 1]}), tmp_path / "log" / "events.parquet")
     back = read(tmp_path / "log")
     np.testing.assert_array_equal(back.odometer.speed_m_s, np.float32([0.1, 0.2]).astype(float))
     assert back.events.kind.tolist() == ["cut_start", "cut_end"]

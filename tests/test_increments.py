@@ -34,7 +34,7 @@ def shaken(seconds: float = 3.0, irregular: bool = False, seed: int = 1) -> Samp
         edge[1:-1] += rng.uniform(-0.4, 0.4, count - 1) / HERTZ
     t = edge[1:, None]
     gyro = 0.5 * np.sin(2 * np.pi * t * [1.0, 1.3, 0.7] + [0, 1, 2]) + rng.normal(0, 0.01, (count, 3))
-    accel = [0, 0, 9.8] + np.cos(2 * np.pi * t * [0.8, 1.1, 1.4]) + rng.normal(0, 0.05, (count, 3))
+    accel = np.array([0, 0, 9.8]) + np.cos(2 * np.pi * t * [0.8, 1.1, 1.4]) + rng.normal(0, 0.05, (count, 3))
     return Samples(edge, gyro, accel)
 
 
@@ -122,7 +122,9 @@ def test_slopes_are_exact_for_lines_whatever_the_sampling() -> None:
 def test_one_sample_has_no_slope() -> None:
     found = slopes(Samples(np.array([0.0, 0.01]), np.ones((1, 3)), np.ones((1, 3))))
     assert np.array_equal(found[0], np.zeros((1, 3)))
-    increments = compensated_increments(Samples(np.array([0.0, 0.01]), np.ones((1, 3)), np.ones((1, 3))), np.array([0.0, 0.01]), 0.1)
+    increments = compensated_increments(
+        Samples(np.array([0.0, 0.01]), np.ones((1, 3)), np.ones((1, 3))), np.array([0.0, 0.01]), 0.1
+    )
     assert np.allclose(increments.rotation_b, 0.01)
 
 
@@ -172,7 +174,7 @@ def composed_per_sample(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
 def test_coning_and_sculling_against_the_exact_attitude(frequency_hz: float, minor_s: float) -> None:
     """A cone of 1 deg about up while the platform shakes sideways in step, 10 s: the classic worst case.
 
-    Attitude ``Exp([a cos, a sin, 0])`` and acceleration in n are given, so rate, force, attitude and velocity are exact.
+    Attitude ``Exp([a cos, a sin, 0])`` and acceleration in n are given, so all else is exact.
     """
     a, omega, shake = np.radians(1.0), 2 * np.pi * frequency_hz, 2.0
     end = 10.0
@@ -199,8 +201,8 @@ def test_coning_and_sculling_against_the_exact_attitude(frequency_hz: float, min
     theirs = composed_per_sample(samples)
     turned = [np.linalg.norm(so3.log(exact.T @ rotation)) for rotation, _ in (ours, theirs)]
     moved = [np.linalg.norm(begin @ velocity - velocity_n) for _, velocity in (ours, theirs)]
-    # The slopes are differences over two samples: good at 1 Hz, still worth their while at a tenth of the sampling rate.
-    gain = {1.0: 100.0, 4.0: 10.0, 10.0: 1.5}[frequency_hz]
+    # The slopes are differences over two samples: good at 1 Hz, worth their while at 10 Hz.
+    gain = {1.0: 500.0, 4.0: 40.0, 10.0: 6.0}[frequency_hz]
     assert turned[0] * gain < turned[1]
     assert moved[0] * gain < moved[1]
 

@@ -54,14 +54,10 @@ def test_gaps_are_given_from_sample_to_sample():
 
 
 def test_a_sensor_that_samples_in_bursts_has_gaps_only_where_bursts_are_missing():
-    t = np.concatenate(
-        [start + np.array([0.0, 0.0, 0.01, 0.02]) for start in range(20) if start not in (7, 8)]
-    )
+    t = np.concatenate([start + np.array([0.0, 0.0, 0.01, 0.02]) for start in range(20) if start not in (7, 8)])
     n = len(t)
     points = gl.LidarPoints(t_s=t, feature=np.arange(n), range_m=np.ones(n), angle_rad=np.zeros(n))
-    log = dataclasses.replace(
-        small_log(), lidar=gl.Lidar(range_sigma_m=0.1, angle_sigma_deg=0.1), lidar_points=points
-    )
+    log = dataclasses.replace(small_log(), lidar=gl.Lidar(range_sigma_m=0.1, angle_sigma_deg=0.1), lidar_points=points)
     table = describe(log)["tables"]["lidar_points"]
     assert table["rate_hz"] == pytest.approx(100)
     assert table["gaps"] == [{"start_s": pytest.approx(6.02), "length_s": pytest.approx(2.98)}]
@@ -86,9 +82,7 @@ def test_declared_figures_with_their_defaults():
 
 def test_suspicious_units_and_contradictions_are_listed_not_raised():
     log = machine(100, (40, 90, 0.3))
-    info = describe(
-        dataclasses.replace(log, imu=log.imu.replace(accel_b_m_s2=log.imu.accel_b_m_s2 / 9.80665))
-    )
+    info = describe(dataclasses.replace(log, imu=log.imu.replace(accel_b_m_s2=log.imu.accel_b_m_s2 / 9.80665)))
     assert len(info["suspicious"]) == 1
     assert "in g" in info["suspicious"][0]
     info = describe(machine(100, (40, 90, 0.3), static_until_s=60.0))

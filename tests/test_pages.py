@@ -38,18 +38,14 @@ def test_ci_takes_its_test_command_from_the_readme() -> None:
     assert "pip install" not in script
 
 
-@pytest.mark.parametrize(
-    "page, number", [(page, n) for page in PAGES for n in range(len(blocks(page, "python")))]
-)
+@pytest.mark.parametrize("page, number", [(page, n) for page in PAGES for n in range(len(blocks(page, "python")))])
 def test_python_of_the_pages_runs(page: str, number: int, tmp_path: Path) -> None:
     done = python("-c", blocks(page, "python")[number], cwd=tmp_path)
     assert done.returncode == 0, done.stderr
 
 
 def test_command_line_walk_of_the_readme(tmp_path: Path) -> None:
-    commands = [
-        line for block in blocks("README.md", "console") for line in block.splitlines() if line[:2] == "$ "
-    ]
+    commands = [line for block in blocks("README.md", "console") for line in block.splitlines() if line[:2] == "$ "]
     assert {shlex.split(line)[2] for line in commands} == {"simulate", "info", "smooth", "evaluate", "import"}
     (tmp_path / "drive.toml").write_text(blocks("README.md", "toml")[0])
     for line in commands:

@@ -149,9 +149,7 @@ def test_every_public_function_has_a_docstring(module: str) -> None:
 # The public face --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "statement", ["import graphnav", "from graphnav import SensorLog", "import graphnav.cli"]
-)
+@pytest.mark.parametrize("statement", ["import graphnav", "from graphnav import SensorLog", "import graphnav.cli"])
 def test_import_loads_nothing_heavy(statement: str) -> None:
     code = f"{statement}\nimport sys\nprint(*sorted({HEAVY!r} & set(sys.modules)))"
     assert printed(code) == ""

@@ -16,9 +16,7 @@ from graphnav.frontends.rest import odometer_rest, rest_spans
 from graphnav.frontends.units import check_units
 from graphnav.simulation import simulate
 
-ALL_VIEWS = pytest.mark.parametrize(
-    "view", [lambda log: log, imu_only, odometer_only], ids=["both", "imu", "odometer"]
-)
+ALL_VIEWS = pytest.mark.parametrize("view", [lambda log: log, imu_only, odometer_only], ids=["both", "imu", "odometer"])
 
 
 @ALL_VIEWS
@@ -149,17 +147,13 @@ def test_the_declared_static_start_is_taken_whole():
 
 def test_a_static_start_that_the_odometer_contradicts_is_refused():
     log = machine(100, (40, 90, 0.3), static_until_s=60.0)
-    with pytest.raises(
-        LogError, match=r"\[initial\], static_until_s: 60.0 s, but the odometer moves at .* at 4\d"
-    ):
+    with pytest.raises(LogError, match=r"\[initial\], static_until_s: 60.0 s, but the odometer moves at .* at 4\d"):
         rest_spans(log)
 
 
 def test_logs_without_motion_sensors_or_with_very_few_rows():
     position = gl.Position(t_s=[0.0], pos_n_m=np.zeros((1, 3)), sigma_n_m=np.ones((1, 3)))
-    log = gl.SensorLog(
-        name="p", frames=gl.Frames(0.0), initial=initial(static_until_s=5.0), position=position
-    )
+    log = gl.SensorLog(name="p", frames=gl.Frames(0.0), initial=initial(static_until_s=5.0), position=position)
     assert rest_spans(log).shape == (0, 2)
     assert check_units(log, NO_SPANS) == []
     for rows in (2, 3, 12):

@@ -71,9 +71,7 @@ def made_log(trajectory: Trajectory, truth: bool = True) -> SensorLog:
     return SensorLog(
         name="made",
         frames=Frames(latitude_deg=35.0),
-        position=Position(
-            t_s=t[::4], pos_n_m=trajectory.pos_n[::4], sigma_n_m=np.full((len(t[::4]), 3), 0.1)
-        ),
+        position=Position(t_s=t[::4], pos_n_m=trajectory.pos_n[::4], sigma_n_m=np.full((len(t[::4]), 3), 0.1)),
         events=Events(t_s=[t[3], t[20]], kind=["cut_start", "cut_end"], cycle=[1, 1]),
         surveyed=(SurveyedPoint(pos_n_m=[0.0, 0.0, 0.0], sigma_m=0.02, t_s=float(t[5])),),
         truth=Truth(t_s=t, pos_n_m=trajectory.pos_n + 0.05, quat_nb=trajectory.quat_nb) if truth else None,
@@ -172,9 +170,7 @@ def test_the_working_folder_is_never_replaced(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.parametrize("broken", ["_write_tum", "_summary", "_move_into_place"])
-def test_a_failure_leaves_what_was_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
-) -> None:
+def test_a_failure_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str) -> None:
     results.save(MadeRun(made_trajectory(10)), tmp_path / "run")
 
     def fail(*_: object) -> None:
@@ -198,9 +194,7 @@ def test_a_trajectory_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
 
 
 def test_errors_on_loading_name_file_row_and_column(tmp_path: Path) -> None:
-    with pytest.raises(
-        GraphnavError, match=r"no trajectory\.parquet; give a folder that `graphnav smooth` wrote"
-    ):
+    with pytest.raises(GraphnavError, match=r"no trajectory\.parquet; give a folder that `graphnav smooth` wrote"):
         results.load(tmp_path)
     folder = results.save(MadeRun(made_trajectory()), tmp_path / "run")
     path = folder / "trajectory.parquet"

@@ -154,8 +154,7 @@ def _errors_over_sigmas(log: SensorLog, clean: SensorLog) -> dict[str, np.ndarra
         "gyro bias": gyro.mean(0) / np.hypot(imu.gyro_bias_deg_h * DEG / HOUR, gyro_walk / np.sqrt(span)),
         "accel bias": accel.mean(0) / np.hypot(imu.accel_bias_mg * MG, accel_walk / np.sqrt(span)),
         "gyro noise": np.diff(gyro[:40], axis=0)[::2].ravel() / (gyro_walk / np.sqrt(imu.dt_s) * np.sqrt(2)),
-        "accel noise": np.diff(accel[:40], axis=0)[::2].ravel()
-        / (accel_walk / np.sqrt(imu.dt_s) * np.sqrt(2)),
+        "accel noise": np.diff(accel[:40], axis=0)[::2].ravel() / (accel_walk / np.sqrt(imu.dt_s) * np.sqrt(2)),
         "odometer scale": scale / np.hypot(odo.scale_sigma, odo.sigma_m_s / np.sqrt(weight)),
         "odometer noise": odo.speed_m_s[:18] / odo.sigma_m_s,  # at rest
         "initial attitude": (turn[0].inv() * turn[1]).as_rotvec(degrees=True) / initial.att_sigma_deg,
@@ -200,9 +199,7 @@ def test_mounting_has_the_declared_sigma_per_axis() -> None:
 
 def test_scenarios_declare_the_figures_of_the_papers() -> None:
     log = mems()
-    assert (
-        log.imu is not None and log.odometer is not None and log.face is not None and log.initial is not None
-    )
+    assert log.imu is not None and log.odometer is not None and log.face is not None and log.initial is not None
     assert (log.imu.gyro_bias_deg_h, log.imu.gyro_random_walk_deg_sqrt_h) == (720.0, 0.6)
     assert (log.imu.accel_bias_mg, log.imu.accel_random_walk_mg_sqrt_hz) == (3.0, 0.08)
     assert log.initial.att_sigma_deg.tolist() == [0.3, 0.3, 1.0]
@@ -357,9 +354,7 @@ def test_trapezoid_covers_its_length(length_m: float) -> None:
 
 def test_mems_log_has_four_cuts_and_their_events() -> None:
     log = mems()
-    assert (
-        log.events is not None and log.odometer is not None and log.imu is not None and log.truth is not None
-    )
+    assert log.events is not None and log.odometer is not None and log.imu is not None and log.truth is not None
     assert list(log.events.kind) == ["cut_start", "cut_end"] * 4
     assert log.events.cycle.tolist() == [1, 1, 2, 2, 3, 3, 4, 4]
     assert log.events.t_s[0] == 60.0
@@ -493,9 +488,7 @@ def test_log_survives_writing_and_reading(tmp_path) -> None:
         ("full-shift", {"sensors": ("imu",)}, ["odometer"]),
     ],
 )
-def test_wrong_options_are_refused_with_the_valid_ones(
-    scenario: str, options: dict, fragments: list[str]
-) -> None:
+def test_wrong_options_are_refused_with_the_valid_ones(scenario: str, options: dict, fragments: list[str]) -> None:
     with pytest.raises(ConfigError) as caught:
         simulate(scenario, **options)
     for fragment in fragments:

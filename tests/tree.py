@@ -13,9 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 def python(*args: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run this interpreter on the working tree, wherever it is started."""
     env = dict(os.environ, PYTHONPATH=str(ROOT), PYTHONDONTWRITEBYTECODE="1")
-    return subprocess.run(
-        [sys.executable, *args], cwd=cwd, env=env, capture_output=True, text=True, check=False
-    )
+    return subprocess.run([sys.executable, *args], cwd=cwd, env=env, capture_output=True, text=True, check=False)
 
 
 def printed(code: str) -> str:

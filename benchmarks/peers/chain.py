@@ -57,8 +57,8 @@ def sigmas(*values: float) -> gtsam.noiseModel.Diagonal:
 def imu_params(log: SensorLog) -> gtsam.PreintegrationParams:
     """Datasheet noise, gravity along -up, Earth rate; the integration covariance is that of GTSAM's examples.
 
-    It is 0.1 mm per square root of a second, and holds the problem together: at 1e-12 GTSAM's Cholesky takes the same sound
-    log for indeterminate.
+    It is 0.1 mm per square root of a second, and holds the problem together: at 1e-12 GTSAM's Cholesky takes the same
+    sound log for indeterminate.
     """
     imu, frames = log.imu, log.frames
     assert imu is not None and frames.gravity_m_s2 is not None
@@ -91,12 +91,16 @@ def preintegrated(chain: Chain) -> Iterator[tuple[gtsam.PreintegratedImuMeasurem
     edges = edges[np.concatenate([[True], np.diff(edges) > 1e-6])]
     row = np.clip(np.searchsorted(imu.t_s, (edges[1:] + edges[:-1]) / 2), 0, len(imu) - 1)
     dt = np.diff(edges)
-    covered = np.concatenate([[0.0], np.cumsum(np.interp((edges[1:] + edges[:-1]) / 2, odometer.t_s, odometer.speed_m_s) * dt)])
+    covered = np.concatenate(
+        [[0.0], np.cumsum(np.interp((edges[1:] + edges[:-1]) / 2, odometer.t_s, odometer.speed_m_s) * dt)]
+    )
     bounds = np.searchsorted(edges, times - 1e-6).tolist()
     for first, last in pairwise(bounds):
         pim.resetIntegration()
         rows = row[first:last]
-        for accel, gyro, step in zip(imu.accel_b_m_s2[rows], imu.gyro_b_rad_s[rows], dt[first:last].tolist(), strict=True):
+        for accel, gyro, step in zip(
+            imu.accel_b_m_s2[rows], imu.gyro_b_rad_s[rows], dt[first:last].tolist(), strict=True
+        ):
             pim.integrateMeasurement(accel, gyro, step)
         yield pim, float(covered[last] - covered[first])
 

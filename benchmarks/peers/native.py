@@ -1,22 +1,31 @@
 """Peer (b): native GTSAM factors only, on the same keyframes.
 
-`ImuFactor` from per-sample preintegration with Earth rate, biases in epochs of 60 s (one bias for all, or one per keyframe,
-makes it slower or larger), `LevenbergMarquardtOptimizer`, `Marginals`. The odometer is the most natural native
-stand-in: a `BetweenFactorPose3` holding the displacement in b, its rotation left free. GTSAM has no native factor with
-a scale factor or mounting angles, so the calibration stays at its nominal value: this is a timing peer, its accuracy is
-not compared.
+`ImuFactor` from per-sample preintegration with Earth rate, biases in epochs of 60 s (one bias for all, or one per
+keyframe, makes it slower or larger), `LevenbergMarquardtOptimizer`, `Marginals`. The odometer is the most natural
+native stand-in: a `BetweenFactorPose3` holding the displacement in b, its rotation left free. GTSAM has no native
+factor with a scale factor or mounting angles, so the calibration stays at its nominal value: this is a timing peer,
+its accuracy is not compared.
 """
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
-from benchmarks.peers.chain import FREE_RAD, Array, Chain, bias_sigmas, common_factors, dead_reckoned, displacement, preintegrated, sigmas
+from benchmarks.peers.chain import (
+    FREE_RAD,
+    Array,
+    Chain,
+    bias_sigmas,
+    common_factors,
+    dead_reckoned,
+    displacement,
+    preintegrated,
+    sigmas,
+)
 
 BIAS_EPOCH_S = 60.0
 

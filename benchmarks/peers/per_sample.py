@@ -1,8 +1,8 @@
 """Peer (a): the problem as GTSAM's own examples write it.
 
-IMU samples preintegrated one by one, a bias at every keyframe, the odometer as a Python `CustomFactor` on its speed at the
-keyframe with scale factor and mounting angles as one 4-vector, `LevenbergMarquardtOptimizer`, `Marginals`.
-Inside the optimizer every call of a Python factor copies all values, so its time grows with the square of the length.
+IMU samples preintegrated one by one, a bias at every keyframe, the odometer as a Python `CustomFactor` on its speed at
+the keyframe with scale factor and mounting angles as one 4-vector, `LevenbergMarquardtOptimizer`, `Marginals`. Inside
+the optimizer every call of a Python factor copies all values, so its time grows with the square of the length.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ def build(chain: Chain) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
     values = dead_reckoned(chain, turns, moves)
     add_biases(graph, values, chain, len(times) - 1, B)
     graph.add(
-        gtsam.PriorFactorVector(C(0), np.zeros(4), sigmas(odometer.scale_sigma, *np.radians(odometer.mounting_sigma_deg)))
+        gtsam.PriorFactorVector(
+            C(0), np.zeros(4), sigmas(odometer.scale_sigma, *np.radians(odometer.mounting_sigma_deg))
+        )
     )
     values.insert(C(0), np.zeros(4))
     noise = sigmas(odometer.slip_sigma_m_s, odometer.sigma_m_s, odometer.slip_sigma_m_s)

@@ -1,11 +1,12 @@
 """Cutting cycles, face coordinate and closed-path points from odometer and events.
 
-Source of the closed path: J. Zheng et al., Micromachines 12 (2021) 1527, section 2.2: points at a fixed interval along the
-face, each advanced by the push from one cycle to the next.
+Source of the closed path: J. Zheng et al., Micromachines 12 (2021) 1527, section 2.2: points at a fixed interval
+along the face, each advanced by the push from one cycle to the next.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,7 +99,7 @@ def _from_odometer(odometer: Odometer, length_m: float) -> tuple[Cycle, ...]:
     travelled = mileage(odometer)
     turns = _reversals(travelled, threshold=max(0.02 * length_m, 20 * odometer.sigma_m_s * 0.1))
     cycles: list[Cycle] = []
-    for a, b in zip(turns[:-1], turns[1:], strict=True):
+    for a, b in itertools.pairwise(turns):
         covered = travelled[b] - travelled[a]
         if abs(covered) < _CUT_SHARE * length_m:
             continue
@@ -137,15 +138,17 @@ class _Pass:
     s_m: Array
 
     def time_at(self, s_m: float) -> float:
-        return float(np.interp(s_m, self.s_m, self.t_s) if self.s_m[-1] > self.s_m[0] else np.interp(-s_m, -self.s_m, self.t_s))
+        return float(
+            np.interp(s_m, self.s_m, self.t_s) if self.s_m[-1] > self.s_m[0] else np.interp(-s_m, -self.s_m, self.t_s)
+        )
 
 
 def face_coordinates(log: SensorLog, cycles: tuple[Cycle, ...]) -> list[_Pass]:
     """Face coordinate over time in every cut, from the odometer.
 
-    A complete cut runs from end to end, so its odometer distance is stretched to the face length: the unknown scale factor
-    drops out, and the coordinate is right at both ends. A cut broken off by the end of the log takes the scale of the
-    complete ones.
+    A complete cut runs from end to end, so its odometer distance is stretched to the face length: the unknown scale
+    factor drops out, and the coordinate is right at both ends. A cut broken off by the end of the log takes the scale
+    of the complete ones.
     """
     odometer, face = log.odometer, log.face
     if odometer is None or face is None:
@@ -178,7 +181,9 @@ def face_coordinates(log: SensorLog, cycles: tuple[Cycle, ...]) -> list[_Pass]:
     return passes
 
 
-def closed_path_points(log: SensorLog, cycles: tuple[Cycle, ...], interval_m: float | None = None) -> tuple[ClosedPathPoint, ...]:
+def closed_path_points(
+    log: SensorLog, cycles: tuple[Cycle, ...], interval_m: float | None = None
+) -> tuple[ClosedPathPoint, ...]:
     """Points of the face passed in successive cycles, `interval_m` apart, in the order of their second pass.
 
     Parameters

@@ -8,7 +8,6 @@ import numpy as np
 
 from factors.increments import Samples
 from graphnav._schema import Array
-from graphnav.errors import LogError
 from graphnav.log import Imu
 
 #: A step longer than this many nominal steps is a hole.
@@ -54,7 +53,8 @@ def imu_samples(imu: Imu, max_gap_s: float) -> ImuSamples:
     if len(holes) and lengths.max() > max_gap_s:
         worst = int(np.argmax(lengths))
         raise imu.error(
-            f"no samples for {lengths[worst]:.3f} s after t = {t[holes[worst]]:.3f} s, bridged are at most {max_gap_s:g} s",
+            f"no samples for {lengths[worst]:.3f} s after t = {t[holes[worst]]:.3f} s,"
+            f" bridged are at most {max_gap_s:g} s",
             row=int(holes[worst]) + 1,
             column="t_s",
             fix="smooth the parts before and after it as two logs, or raise imu.max_gap_s",

@@ -84,9 +84,7 @@ def _clock(log: SensorLog) -> list[LogError]:
         dt_s = float(np.median(np.diff(sensor.t_s))) if sensor is not None and len(sensor) > 1 else 0.0
         for unit, factor in _TIME_UNITS.items():
             if sensor is not None and dt_s >= slowest_s and 5e-5 <= dt_s / factor < slowest_s:
-                problem = (
-                    f"median time step {dt_s:.6g} s, expected below {slowest_s} s; the times seem in {unit}"
-                )
+                problem = f"median time step {dt_s:.6g} s, expected below {slowest_s} s; the times seem in {unit}"
                 return [sensor.error(problem, column="t_s", fix=f"divide t_s by {factor:g}")]
     return [] if log.imu is None else _other_clocks(log, log.imu)
 
@@ -117,9 +115,7 @@ def _accel(imu: Imu, rest: slice | None) -> list[LogError]:
     unit = min(_ACCEL_UNITS, key=lambda u: abs(np.log(max(ratio, 1e-12) / _ACCEL_UNITS[u])))
     known = abs(ratio / _ACCEL_UNITS[unit] - 1) < tolerance / quiet.GRAVITY_M_S2 + 0.005
     seems = f"; the samples seem to be in {unit}" if known else ""
-    fix = (
-        f"multiply them by {1 / _ACCEL_UNITS[unit]:.6g}" if known else "convert to m/s^2, gravity not removed"
-    )
+    fix = f"multiply them by {1 / _ACCEL_UNITS[unit]:.6g}" if known else "convert to m/s^2, gravity not removed"
     problem = f"{when} {size:.6g}, expected about 9.81 m/s^2{seems}"
     return [imu.error(problem, column=_ACCEL_COLUMNS, fix=fix)]
 
@@ -142,9 +138,7 @@ def _upright(imu: Imu, initial: InitialState | None, rest: slice | None) -> list
     if angle_deg > 150:
         problem = f"specific force {up:.4g} m/s^2 along up, expected about +9.8 (+g upward at rest)"
         return [imu.error(problem, column="accel_z_m_s2", fix="change the sign of the accelerometer samples")]
-    problem = (
-        f"specific force at rest {angle_deg:.0f} deg away from up with the initial attitude, expected about 0"
-    )
+    problem = f"specific force at rest {angle_deg:.0f} deg away from up with the initial attitude, expected about 0"
     fix = "order the axes right, forward, up and check initial.quat_nb_wxyz (n<-b, w first)"
     return [imu.error(problem, column=_ACCEL_COLUMNS, fix=fix)]
 

@@ -43,11 +43,7 @@ def _no_log(path: Path) -> LogError:
     if not path.exists():
         return LogError("no such folder", where=str(path), fix="check the path")
     if path.is_file():
-        fix = (
-            f"pass the log folder {path.parent}"
-            if path.name == LOG_FILE
-            else f"pass a folder with {LOG_FILE}"
-        )
+        fix = f"pass the log folder {path.parent}" if path.name == LOG_FILE else f"pass a folder with {LOG_FILE}"
         return LogError("a file, expected a log folder", where=str(path), fix=fix)
     near = sorted(p.name for p in path.iterdir() if p.suffix.lower() == ".toml")
     fix = f"rename {near[0]} to {LOG_FILE}" if near else f'add {LOG_FILE} with format = "graphnav-log/1"'

@@ -6,6 +6,7 @@
   is resampled; accelerometer samples that have times of their own are interpolated at the gyro's.
 - **Odometer** (``CAN/wheel_speed``, 83 Hz): mean of the two rear wheels, which is the speed of the rear
   axle's centre in a turn as well.
+- **Noise and slip** are what the record itself shows (`graphnav.readers.car`); the reference has no part in them.
 - **Truth** (``global_pose``, 20 Hz): ECEF becomes east, north, up at its first position; its quaternions
   take device axes to ECEF. Where the camera that it describes sits relative to the IMU is not stated: one
   point is assumed. The initial state is the reference's at the start of the IMU record; nothing else of it
@@ -35,9 +36,9 @@ from graphnav.trajectory import Trajectory
 #: Vectors in forward, right, down -> right, forward, up.
 _RFU_FROM_FRD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
-#: Biases are chosen. Gyro 0.1 deg/s: one and a half of its steps (0.07 deg/s), or what such a gyro drifts when it is
-#: 2 deg C warmer than when the phone last corrected it (typically 0.05 deg/s per deg C). Accelerometer: offsets of
-#: consumer parts, 40 mg. Walks stay small beside them within a minute.
+#: Biases are chosen. Gyro 0.1 deg/s: what a gyro of this kind (steps of 0.07 deg/s) drifts when it is some 2 deg C
+#: warmer than when the phone last corrected it, at the usual 0.05 deg/s per deg C. Accelerometer 40 mg: offsets of
+#: consumer parts. Walks stay small beside them within a minute.
 _BIASES = {
     "gyro_bias_deg_h": 360.0,
     "gyro_bias_walk_deg_h_sqrt_h": 60.0,
@@ -58,10 +59,9 @@ _REAR_AXLE_B_M = (0.0, -1.6, -1.0)
 _SCALE_SIGMA = 0.01
 _KNOWN_SCALE_SIGMA = 0.001
 _MOUNTING_SIGMA_DEG = (5.0, 5.0, 5.0)
-#: The reference gives the start and judges the end: what it is wrong by throughout cancels, what changes from row to
-#: row does not. Against the gyro its attitude wanders by 0.04 deg in 1 s and 0.06 deg in 2 s, the direction of its
-#: velocity in device axes scatters by 0.10 deg over the minute, and its velocity from row to row by 0.004 m/s.
-_INITIAL_SIGMAS = {"pos_sigma_m": 0.5, "att_sigma_deg": 0.1, "vel_sigma_m_s": 0.02}
+#: What a combination of satellites, IMU and camera is usually good to (chosen; the reference states no
+#: accuracy).
+_INITIAL_SIGMAS = {"pos_sigma_m": 0.5, "att_sigma_deg": 0.3, "vel_sigma_m_s": 0.05}
 
 
 def convert(
@@ -85,7 +85,7 @@ def convert(
     Returns
     -------
     SensorLog
-        IMU, odometer and truth; initial state known to 0.5 m, 0.02 m/s and 0.1 deg of the reference.
+        IMU, odometer and truth; initial state known to 0.5 m, 0.05 m/s and 0.3 deg.
 
     Raises
     ------
@@ -114,9 +114,7 @@ def _load(path: Path, columns: int) -> Array:
     try:
         array: Array = np.asarray(np.load(path, allow_pickle=False), float)
     except FileNotFoundError:
-        raise LogError(
-            "no such file", where=str(path), fix="pass the folder of one comma2k19 segment"
-        ) from None
+        raise LogError("no such file", where=str(path), fix="pass the folder of one comma2k19 segment") from None
     except (OSError, ValueError, EOFError) as error:
         raise LogError(f"not a whole numpy file ({error})", where=str(path), fix="fetch it again") from None
     if array.shape[1:] != ((columns,) if columns > 1 else ()):
@@ -128,9 +126,7 @@ def _table(folder: Path, columns: int) -> tuple[Array, Array]:
     """Times (N,) and values (N, columns) of a sensor; rows that are not finite or not later are dropped."""
     times, values = _load(folder / "t", 1), _load(folder / "value", columns)
     if len(times) != len(values):
-        raise LogError(
-            f"{len(times)} times for {len(values)} values", where=str(folder), fix="fetch both again"
-        )
+        raise LogError(f"{len(times)} times for {len(values)} values", where=str(folder), fix="fetch both again")
     keep = _sound(times, values)
     return times[keep], values[keep]
 
@@ -167,16 +163,12 @@ def _imu(folder: Path, zero: float, gyro_name: str) -> Imu:
     )
 
 
-def _odometer(
-    folder: Path, zero: float, wheel_scale: float | None, lever_arm_b_m: Sequence[float]
-) -> Odometer:
+def _odometer(folder: Path, zero: float, wheel_scale: float | None, lever_arm_b_m: Sequence[float]) -> Odometer:
     t, wheels = _table(folder / "processed_log" / "CAN" / "wheel_speed", 4)
     speed = wheels[:, 2:].mean(axis=1)  # columns: front left, front right, rear left, rear right
     if wheel_scale is not None:
         if not -0.5 < wheel_scale < 0.5:
-            raise LogError(
-                f"wheel_scale {wheel_scale:g}, expected -0.5 to 0.5", fix="pass measured / true - 1"
-            )
+            raise LogError(f"wheel_scale {wheel_scale:g}, expected -0.5 to 0.5", fix="pass measured / true - 1")
         speed = speed / (1 + wheel_scale)
     t_gyro, gyro = _table(folder / "processed_log" / "IMU" / "gyro", 3)  # the corrected one in any case
     return Odometer(
@@ -226,6 +218,4 @@ def _initial(truth: Truth, start_s: float, folder: Path) -> InitialState:
     assert truth.vel_n_m_s is not None
     start = Trajectory(truth.t_s, truth.pos_n_m, truth.quat_nb, truth.vel_n_m_s).at(start_s)
     sigmas: dict[str, Any] = {name: np.full(3, value) for name, value in _INITIAL_SIGMAS.items()}
-    return InitialState(
-        pos_n_m=start.pos_n[0], quat_nb_wxyz=start.quat_nb[0], vel_n_m_s=start.vel_n[0], **sigmas
-    )
+    return InitialState(pos_n_m=start.pos_n[0], quat_nb_wxyz=start.quat_nb[0], vel_n_m_s=start.vel_n[0], **sigmas)

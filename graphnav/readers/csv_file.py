@@ -67,9 +67,7 @@ class CsvFile:
             with self._path.open(encoding="utf-8-sig", newline="") as file:
                 yield from (row for row in csv.reader(file) if row)
         except (UnicodeDecodeError, csv.Error, OSError) as error:
-            raise LogError(
-                f"unreadable as csv ({error})", where=self._where, fix="save it as UTF-8 csv"
-            ) from None
+            raise LogError(f"unreadable as csv ({error})", where=self._where, fix="save it as UTF-8 csv") from None
 
     def _parse_slowly(self, kinds: Mapping[str, str]) -> dict[str, npt.NDArray[Any]]:
         """Parse value by value, to name the first bad one or to accept whole numbers written as 3.0."""
@@ -96,9 +94,7 @@ class CsvFile:
         if not math.isfinite(value):
             found = f'value "{shown(text)}"' if text.strip() else "value missing"
             fix = "drop the row or repair the recording"
-            raise LogError(
-                f"{found}, expected a finite number", where=self._where, row=row, column=name, fix=fix
-            )
+            raise LogError(f"{found}, expected a finite number", where=self._where, row=row, column=name, fix=fix)
         return value
 
 

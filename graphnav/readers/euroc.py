@@ -151,9 +151,7 @@ def _noise(path: Path) -> dict[str, float]:
         found[name] = float(match.group(1))
     pose = re.search(r"T_BS:.*?data:\s*\[([^\]]*)\]", text, re.DOTALL)
     if pose is not None and [float(v) for v in pose.group(1).split(",")] != np.eye(4).ravel().tolist():
-        raise LogError(
-            "the IMU is not the body frame", where=str(path), column="T_BS", fix="expected the identity"
-        )
+        raise LogError("the IMU is not the body frame", where=str(path), column="T_BS", fix="expected the identity")
     return found
 
 

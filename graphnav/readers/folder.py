@@ -72,22 +72,16 @@ def check_pairs(present: Collection[str], files: Collection[str], folder: str) -
     """
     file = f"{folder}/{LOG_FILE}"
     if "frames" not in present:
-        raise LogError(
-            "missing section [frames]", where=file, fix="add [frames] with latitude_deg of the origin"
-        )
+        raise LogError("missing section [frames]", where=file, fix="add [frames] with latitude_deg of the origin")
     for section in sections.ALL_SECTIONS:
         wanted = _tables_of(section)
         if section in present and wanted and not any(t in files for t in wanted):
             names = " or ".join(f"{t}.parquet or .csv" for t in wanted)
-            raise LogError(
-                "section without its table", where=f"{file} [{section}]", fix=f"add {names}, or remove it"
-            )
+            raise LogError("section without its table", where=f"{file} [{section}]", fix=f"add {names}, or remove it")
         needed_by = [t for t in wanted if t in files]
         if section not in present and needed_by:
             fix = f"add [{section}] with {', '.join(_needed_keys(sections.ALL_SECTIONS[section]))}"
-            raise LogError(
-                f"missing section [{section}], needed by the table {needed_by[0]}", where=file, fix=fix
-            )
+            raise LogError(f"missing section [{section}], needed by the table {needed_by[0]}", where=file, fix=fix)
 
 
 def _needed_keys(cls: type[Record]) -> list[str]:
@@ -102,9 +96,7 @@ def _tables_of(section: str) -> tuple[str, ...]:
     return (section,) if section in TABLES else ()
 
 
-def _read_table(
-    cls: type[Record], document: Mapping[str, Any], path: Path, file: str, offset_s: float
-) -> Record:
+def _read_table(cls: type[Record], document: Mapping[str, Any], path: Path, file: str, offset_s: float) -> Record:
     where = f"{path.parent.name}/{path.name}"
     arguments: dict[str, Any] = {}
     if cls.SECTION:
@@ -135,9 +127,7 @@ def _build(cls: type[Record], arguments: Mapping[str, Any], file: str, table: st
         by_name = {f.name: f.metadata["columns"] for f in cls.column_fields()}
         keys = {f.name for f in cls.param_fields()}
         columns = [name for names in by_name.values() for name in names]
-        in_section = not table or (
-            error.column in keys and (error.row is None or error.column not in columns)
-        )
+        in_section = not table or (error.column in keys and (error.row is None or error.column not in columns))
         placed = error.at(f"{file} [{cls.SECTION}]" if in_section else table)
         placed.column = ", ".join(by_name.get(error.column, (error.column,)))
         placed.row = None if in_section else error.row

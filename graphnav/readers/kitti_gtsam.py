@@ -158,18 +158,14 @@ def _find(source: str | Path | None, name: str) -> Path:
     if source is not None:
         path = Path(source) / name
         if not path.is_file():
-            raise LogError(
-                "no such file", where=str(path), fix="pass no source to use the files in the gtsam package"
-            )
+            raise LogError("no such file", where=str(path), fix="pass no source to use the files in the gtsam package")
         return path
     import gtsam
 
     try:
         return Path(gtsam.findExampleDataFile(name))  # type: ignore[no-untyped-call]
     except (RuntimeError, FileNotFoundError, ValueError) as error:
-        raise LogError(
-            f"the gtsam package does not hold {name}", fix="install gtsam 4.3.0 or newer"
-        ) from error
+        raise LogError(f"the gtsam package does not hold {name}", fix="install gtsam 4.3.0 or newer") from error
 
 
 def _columns(path: Path, expected: Sequence[str], delimiter: str | None) -> Array:
@@ -195,9 +191,7 @@ def _first_whole(dt_s: Array, path: Path) -> int:
     """First row after the rows at the start whose interval is no sampling interval."""
     whole = np.flatnonzero(dt_s <= _LONG_DT_S)
     if len(whole) == 0:
-        raise LogError(
-            f"no dt of at most {_LONG_DT_S} s", where=str(path), column="dt", fix="expected seconds"
-        )
+        raise LogError(f"no dt of at most {_LONG_DT_S} s", where=str(path), column="dt", fix="expected seconds")
     return int(whole[0])
 
 

@@ -88,9 +88,7 @@ class ParquetFile:
             raise LogError(problem, row=0, fix="convert the column and save it again", **place)
         # A float32 clock resolves a shift of 7 h to 2 ms only: rows would collide or jitter.
         if name.startswith("t_") and pa.types.is_floating(stored) and stored != pa.float64():
-            raise LogError(
-                f"time stored as {stored}, expected float64 seconds", where=self._where, column=name
-            )
+            raise LogError(f"time stored as {stored}, expected float64 seconds", where=self._where, column=name)
 
     def _first(self, name: str) -> str:
         """The first value, so that the user sees what is stored there."""
@@ -117,9 +115,7 @@ def _fits(stored: Any, kind: str) -> bool:
     if kind == "str":
         return bool(pa.types.is_string(stored) or pa.types.is_large_string(stored))
     if kind == "list":
-        lists = (
-            pa.types.is_list(stored) or pa.types.is_large_list(stored) or pa.types.is_fixed_size_list(stored)
-        )
+        lists = pa.types.is_list(stored) or pa.types.is_large_list(stored) or pa.types.is_fixed_size_list(stored)
         return bool(lists and _is_number(stored.value_type))
     return _is_number(stored)
 

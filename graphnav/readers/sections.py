@@ -68,9 +68,7 @@ def load(folder: Path) -> dict[str, Any]:
         raise LogError(f"TOML syntax error: {error}", where=where, fix="repair that line") from None
     if document.get("format") != FORMAT:
         found = _show(document["format"]) if "format" in document else "missing"
-        raise LogError(
-            f'{found}, expected "{FORMAT}"', where=where, column="format", fix=f'set format = "{FORMAT}"'
-        )
+        raise LogError(f'{found}, expected "{FORMAT}"', where=where, column="format", fix=f'set format = "{FORMAT}"')
     for key, value in document.items():
         _check_top_level(key, value, where)
     if "name" not in document:
@@ -129,9 +127,7 @@ def _param(f: dataclasses.Field[Any], value: Any, where: str) -> Any:
         return _items(f, value, where)
     if f.metadata["kind"] == "str":
         if not isinstance(value, str):
-            raise LogError(
-                f"{_show(value)}, expected text", where=where, column=f.name, fix="put it in quotes"
-            )
+            raise LogError(f"{_show(value)}, expected text", where=where, column=f.name, fix="put it in quotes")
         return value
     shape = f.metadata["shape"]
     what = f"an array of {' x '.join(map(str, shape))} numbers" if shape else "a number"

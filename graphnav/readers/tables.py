@@ -116,11 +116,7 @@ def _is_present(f: dataclasses.Field[Any], names: list[str], where: str) -> bool
         return True
     if f.metadata["optional"] and len(missing) == len(wanted):
         return False
-    together = (
-        f"it comes with {', '.join(n for n in wanted if n not in missing)}"
-        if len(wanted) > len(missing)
-        else ""
-    )
+    together = f"it comes with {', '.join(n for n in wanted if n not in missing)}" if len(wanted) > len(missing) else ""
     raise LogError("missing column", where=where, column=missing[0], fix=together or f"add {missing[0]}")
 
 

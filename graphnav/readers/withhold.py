@@ -87,6 +87,4 @@ def _alternate(t_s: Array, gap_s: float) -> Gaps:
 
 
 def _take(position: Position, rows: Rows) -> Position:
-    return Position(
-        t_s=position.t_s[rows], pos_n_m=position.pos_n_m[rows], sigma_n_m=position.sigma_n_m[rows]
-    )
+    return Position(t_s=position.t_s[rows], pos_n_m=position.pos_n_m[rows], sigma_n_m=position.sigma_n_m[rows])

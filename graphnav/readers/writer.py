@@ -59,9 +59,7 @@ def write(
 
 def _check_target(target: Path, overwrite: bool) -> None:
     if target.exists() and not target.is_dir():
-        raise LogError(
-            "a file, expected a folder to write the log to", where=str(target), fix="choose another path"
-        )
+        raise LogError("a file, expected a folder to write the log to", where=str(target), fix="choose another path")
     if overwrite or not target.exists():
         return
     others = sorted(p.name for p in target.iterdir() if not _is_log_file(p))

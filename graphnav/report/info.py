@@ -52,9 +52,7 @@ def describe(log: SensorLog) -> dict[str, Any]:
         "tables": tables,
         "rest": [{"start_s": float(start), "end_s": float(end)} for start, end in rest],
         "suspicious": suspicious,
-        "declared": {
-            name: _params(getattr(log, name)) for name in _SECTIONS if getattr(log, name) is not None
-        },
+        "declared": {name: _params(getattr(log, name)) for name in _SECTIONS if getattr(log, name) is not None},
         "surveyed": [_params(point) for point in log.surveyed],
     }
 
@@ -124,9 +122,7 @@ def render(info: dict[str, Any], console: Console | None = None) -> None:
 def _tables_table(tables: dict[str, Any]) -> Any:
     from rich.table import Table
 
-    view = Table(
-        "table", *(_right(name) for name in ("rows", "rate Hz", "start s", "end s", "gaps", "longest s"))
-    )
+    view = Table("table", *(_right(name) for name in ("rows", "rate Hz", "start s", "end s", "gaps", "longest s")))
     for name, table in tables.items():
         gaps = table["gaps"]
         view.add_row(
@@ -157,11 +153,7 @@ def _print_rest(console: Console, rest: list[dict[str, float]]) -> None:
     total = sum(span["end_s"] - span["start_s"] for span in rest)
     shown = ", ".join(f"{span['start_s']:.1f}-{span['end_s']:.1f}" for span in rest[:8])
     more = f" and {len(rest) - 8} more" if len(rest) > 8 else ""
-    text = (
-        f"at rest: {_duration(total)} in {len(rest)} spans: {shown} s{more}"
-        if rest
-        else "at rest: never found"
-    )
+    text = f"at rest: {_duration(total)} in {len(rest)} spans: {shown} s{more}" if rest else "at rest: never found"
     console.print(text, markup=False, highlight=False)
 
 
@@ -174,9 +166,7 @@ def _right(name: str) -> Any:
 def _short(value: Any) -> str:
     if isinstance(value, list):
         return (
-            f"{len(value)} declared"
-            if value and isinstance(value[0], dict)
-            else f"[{', '.join(map(_short, value))}]"
+            f"{len(value)} declared" if value and isinstance(value[0], dict) else f"[{', '.join(map(_short, value))}]"
         )
     return f"{value:g}" if isinstance(value, float) else str(value)
 

@@ -27,9 +27,7 @@ class Clock:
     def __init__(self, t_s: Array) -> None:
         span = float(t_s[-1] - t_s[0])
         self.start_s, self.end_s = float(t_s[0]), float(t_s[-1])
-        self.unit, self.scale = (
-            ("s", 1.0) if span < 300 else ("min", 60.0) if span < 3 * 3600 else ("h", 3600.0)
-        )
+        self.unit, self.scale = ("s", 1.0) if span < 300 else ("min", 60.0) if span < 3 * 3600 else ("h", 3600.0)
 
     def __call__(self, t_s: Any) -> Any:
         """Times in the axis' unit."""

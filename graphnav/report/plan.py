@@ -30,9 +30,7 @@ def draw_plan(
     view = _View(trajectory.pos_n)
     if log.truth is not None:
         inside = (log.truth.t_s >= trajectory.t_s[0]) & (log.truth.t_s <= trajectory.t_s[-1])
-        axes.plot(
-            *view(log.truth.pos_n_m[inside][:: 1 + len(log.truth) // 20_000]), color=BLACK, lw=2.2, alpha=0.35
-        )
+        axes.plot(*view(log.truth.pos_n_m[inside][:: 1 + len(log.truth) // 20_000]), color=BLACK, lw=2.2, alpha=0.35)
         axes.plot([], [], color=BLACK, lw=2.2, alpha=0.35, label="truth")
     axes.plot(*view(trajectory.pos_n), color=BLUE, lw=1.0, label="estimate")
     for position, label, colour, marker in (
@@ -57,9 +55,7 @@ class _View:
         self.origin = pos_n[0, :2]
         moved = pos_n[:, :2] - pos_n[:, :2].mean(axis=0)
         direction = np.linalg.svd(moved, full_matrices=False)[2][0]
-        ahead = np.asarray(
-            pos_n[np.argmax(np.linalg.norm(pos_n[:, :2] - self.origin, axis=1)), :2] - self.origin
-        )
+        ahead = np.asarray(pos_n[np.argmax(np.linalg.norm(pos_n[:, :2] - self.origin, axis=1)), :2] - self.origin)
         direction = direction if direction @ ahead >= 0 else -direction
         self.axes_n = np.array([direction, [-direction[1], direction[0]]])  # along, and to the left of it
         extent = np.ptp(moved @ self.axes_n.T, axis=0)
@@ -76,9 +72,7 @@ class _View:
             axes.set_ylabel("Across it, left positive (m)")
             axes.margins(x=0.03, y=0.12)
             box, (x, y) = axes.get_window_extent(), (np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
-            axes.set_title(
-                f"Plan, stretched about {(box.height / y) / (box.width / x):.0f} times across the track"
-            )
+            axes.set_title(f"Plan, stretched about {(box.height / y) / (box.width / x):.0f} times across the track")
         else:
             axes.set_xlabel("East (m)")
             axes.set_ylabel("North (m)")

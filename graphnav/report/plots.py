@@ -87,9 +87,7 @@ def _split(figure: Figure | SubFigure, rows: int, columns: int, **options: Any) 
     return list(np.ravel(np.asarray(figure.subfigures(rows, columns, **options), dtype=object)))
 
 
-def _headline(
-    log: SensorLog, trajectory: Trajectory, evaluation: Evaluation | None, withheld: Position | None
-) -> str:
+def _headline(log: SensorLog, trajectory: Trajectory, evaluation: Evaluation | None, withheld: Position | None) -> str:
     span = trajectory.t_s[-1] - trajectory.t_s[0]
     title = f"{log.name}: {len(trajectory)} keyframes over {span:,.0f} s"
     if evaluation is None and withheld is None:
@@ -105,9 +103,7 @@ def _headline(
     if nees is not None:
         title += f", NEES {nees:.3g}"
     if evaluation is not None and evaluation.per_cycle:
-        title += (
-            "\nSEP per cycle " + " / ".join(f"{cycle.sep_m:.3f}" for cycle in evaluation.per_cycle) + " m"
-        )
+        title += "\nSEP per cycle " + " / ".join(f"{cycle.sep_m:.3f}" for cycle in evaluation.per_cycle) + " m"
     return title
 
 

@@ -185,9 +185,7 @@ def _write_parquet(trajectory: Trajectory, path: Path) -> None:
             unknown = np.full(len(trajectory.t_s), np.nan)
             columns[name] = unknown if trajectory.cov is None else trajectory.cov[:, first + i, first + j]
     # NaN (unknown) becomes null, which every reader of parquet takes for a missing value.
-    arrays = {
-        name: pa.array(np.ascontiguousarray(column), from_pandas=True) for name, column in columns.items()
-    }
+    arrays = {name: pa.array(np.ascontiguousarray(column), from_pandas=True) for name, column in columns.items()}
     pq.write_table(pa.table(arrays), path, compression="zstd")
 
 
@@ -203,9 +201,7 @@ def _read_cov(values: Mapping[str, Array]) -> Array | None:
 
 def _write_tum(trajectory: Trajectory, path: Path) -> None:
     """Time, position, quaternion x y z w; every number in its shortest form that reads back exactly."""
-    rows = np.column_stack(
-        [trajectory.t_s, trajectory.pos_n, np.roll(trajectory.quat_nb, -1, axis=1)]
-    ).tolist()
+    rows = np.column_stack([trajectory.t_s, trajectory.pos_n, np.roll(trajectory.quat_nb, -1, axis=1)]).tolist()
     path.write_text("".join(" ".join(map(repr, row)) + "\n" for row in rows), encoding="utf-8")
 
 

@@ -139,9 +139,7 @@ def full_shift(hours: float = MAX_HOURS, sensors: str | Iterable[str] = SENSORS)
     chosen = tuple(s.strip() for s in sensors.split(",")) if isinstance(sensors, str) else tuple(sensors)
     for sensor in chosen:
         if sensor not in SENSORS:
-            raise ConfigError(
-                f'full-shift: sensor "{sensor}" is not available yet; choose from {", ".join(SENSORS)}'
-            )
+            raise ConfigError(f'full-shift: sensor "{sensor}" is not available yet; choose from {", ".join(SENSORS)}')
     if not {"imu", "odometer"} <= set(chosen):
         raise ConfigError('full-shift: sensors must include "imu" and "odometer"')
     return replace(FULL_SHIFT, duration_s=3600.0 * hours, sensors=chosen)

@@ -1,7 +1,7 @@
 """Batch smoothing: Gauss-Newton with Levenberg-Marquardt damping, driven from Python, QR throughout.
 
-GTSAM's own optimizers copy all values at every call of a Python factor, and its Cholesky fails on sound long chains; a loop
-over ``graph.linearize`` and multifrontal QR does neither.
+GTSAM's own optimizers copy all values at every call of a Python factor, and its Cholesky fails on sound long chains;
+a loop over ``graph.linearize`` and multifrontal QR does neither.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ def solve(
 ) -> BatchResult:
     """Minimise the graph's error from the given values.
 
-    Convergence rule: stop after a step whose joint Mahalanobis length, ``sqrt(delta' H delta)`` over all variables, is at
-    most `tolerance_sigma`: what is left is that small a part of one standard deviation. A step that raises the error is
-    damped until it lowers it.
+    Convergence rule: stop after a step whose joint Mahalanobis length, ``sqrt(delta' H delta)`` over all variables,
+    is at most `tolerance_sigma`: what is left is that small a part of one standard deviation. A step that raises the
+    error is damped until it lowers it.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gt
     try:
         return linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
     except RuntimeError as error:
-        raise SolveError(f"the problem is singular: {str(error).strip().splitlines()[0]}") from None
+        raise SolveError.singular(error) from None
 
 
 def _damped_step(
@@ -138,7 +138,9 @@ def _damped_step(
         if moved_error < error:
             return moved, again, moved_error, damping
         damping *= 10
-    raise SolveError("no step lowers the error: the initial values are too far off, or measurements contradict each other")
+    raise SolveError(
+        "no step lowers the error: the initial values are too far off, or measurements contradict each other"
+    )
 
 
 def _damped(linear: gtsam.GaussianFactorGraph, values: gtsam.Values, damping: float) -> gtsam.GaussianFactorGraph:

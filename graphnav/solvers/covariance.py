@@ -1,10 +1,9 @@
 """Covariances of all keyframes from the square-root information matrix.
 
-GTSAM's marginals go through Cholesky and fail on sound problems. Here the Bayes tree that QR left is walked from its roots:
-with ``R x_f + S x_p = d`` for the frontal variables f and the separator p of a clique,
-``G = -R^-1 S``, ``P_fp = G P_pp``, ``P_ff = R^-1 R^-T + G P_pp G'``
-(G. Golub and R. Plemmons, Linear Algebra Appl. 34 (1980); the separator's block is known from the parent clique).
-No step subtracts, so no step can fail for a well-posed problem.
+GTSAM's marginals go through Cholesky and fail on sound problems. Here the Bayes tree that QR left is walked from its
+roots: with ``R x_f + S x_p = d`` for the frontal variables f and the separator p of a clique, ``G = -R^-1 S``, ``P_fp
+= G P_pp``, ``P_ff = R^-1 R^-T + G P_pp G'`` (G. Golub and R. Plemmons, Linear Algebra Appl. 34 (1980); the
+separator's block is known from the parent clique). No step subtracts, so no step can fail for a well-posed problem.
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ class _Clique:
 
     def block(self, keys: Iterable[int]) -> Array:
         index = np.concatenate([np.arange(self.rows[k].start, self.rows[k].stop) for k in keys])
-        return self.cov[np.ix_(index, index)]
+        return np.asarray(self.cov[np.ix_(index, index)])
 
 
 def joint_marginals(
     tree: gtsam.GaussianBayesTree,
-    elimination_order: gtsam.KeyVector | list[int],
+    elimination_order: list[int],
     dims: Callable[[int], int],
     groups: dict[int, tuple[int, ...]],
     progress: Callable[[float, float], None] | None = None,
@@ -49,7 +48,8 @@ def joint_marginals(
     tree : Bayes tree from QR elimination.
     elimination_order : keys in the order they were eliminated.
     dims : size of a variable by key.
-    groups : name -> keys whose joint covariance is wanted; the keys of a group must share a factor, which guarantees that
+    groups : name -> keys whose joint covariance is wanted; the keys of a group must share a factor, which guarantees
+        that
         some clique holds them all.
 
     Returns
@@ -84,10 +84,14 @@ def joint_marginals(
     return found
 
 
-def _solve_clique(node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], dims: Callable[[int], int]) -> _Clique:
+def _solve_clique(
+    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], dims: Callable[[int], int]
+) -> _Clique:
     conditional = node.conditional()
     if conditional.isConstrained():
-        raise SolveError("a hard constraint (a sigma of zero, or below 1e-8 in GTSAM's eyes) has no square-root information")
+        raise SolveError(
+            "a hard constraint (a sigma of zero, or below 1e-8 in GTSAM's eyes) has no square-root information"
+        )
     r, s = conditional.R(), conditional.S()
     keys = conditional.keys()
     frontal_dim, rows, frontals, at = r.shape[0], {}, [], 0
@@ -102,7 +106,7 @@ def _solve_clique(node: Any, open_cliques: dict[int, _Clique], owner: dict[int, 
     cov = np.empty((at, at))
     cov[:frontal_dim, :frontal_dim] = inverse @ inverse.T
     if at > frontal_dim:
-        separators = keys[len(frontals):]
+        separators = keys[len(frontals) :]
         # the parent holds the separator variable that was eliminated first, so it was opened last
         parent_id = max(owner[k] for k in separators)
         parent = open_cliques[parent_id]

@@ -6,6 +6,7 @@ instead of a copy of all values.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,13 +16,16 @@ from factors.inertial import predict
 from factors.so3 import Array
 from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
-from graphnav.graph import B, C, FactorAt, Preintegrated, Problem, V, X
+from graphnav.graph import B, C, FactorAt, Preintegrated, Problem, V, X, creep_cycles
 from graphnav.initial import States
+from graphnav.solvers.absolute import predicted_factor
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     import gtsam
+
+    from graphnav.frontends.cutting_cycles import ClosedPathPoint
 
 
 @dataclass(frozen=True)
@@ -31,9 +35,9 @@ class IncrementalResult:
     Attributes
     ----------
     causal : (N) states, each estimated from the measurements up to its own keyframe.
-    values : final smoothed estimates.
+    values : smoothed estimates after the last keyframe, exact to the relinearization thresholds.
     relinearized, reeliminated : variables treated over the whole run.
-    update_seconds : (U,) time of every update.
+    update_seconds : (U,) time of every update with its reading.
     """
 
     causal: States
@@ -44,93 +48,129 @@ class IncrementalResult:
 
 
 def parameters(config: Isam2Config) -> gtsam.ISAM2Params:
-    """iSAM2 parameters: QR, thresholds per kind of variable so that no unit rules the others."""
+    """iSAM2 parameters: QR, and thresholds per kind of variable so that no unit rules the others.
+
+    The check for relinearization needs the solution of all variables; `solve` asks for it ever more rarely as the graph
+    grows, so that its cost stays in proportion. The wildfire threshold, one number for metres and rad/s alike, is so low
+    that no bias is cut off.
+    """
     import gtsam
 
     params = gtsam.ISAM2Params()
     params.setFactorization("QR")
     params.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(config.wildfire_threshold))
-    params.relinearizeSkip = config.relinearize_skip
-    attitude, position = config.threshold_attitude_rad, config.threshold_position_m
+    params.relinearizeSkip = 1 << 30
     thresholds = gtsam.ISAM2ThresholdMap()
     for letter, values in (
-        ("x", [attitude] * 3 + [position] * 3),
+        ("x", [config.threshold_attitude_rad] * 3 + [config.threshold_position_m] * 3),
         ("v", [config.threshold_velocity_m_s] * 3),
         ("b", [config.threshold_accel_bias_m_s2] * 3 + [config.threshold_gyro_bias_rad_s] * 3),
         ("c", [config.threshold_scale] + [config.threshold_mounting_rad] * 3),
-        ("k", [position]),
+        ("k", [config.threshold_position_m]),
     ):
         thresholds.insert((letter, np.array(values)))
     params.setRelinearizeThreshold(thresholds)
-    params.enableRelinearization = True
-    params.evaluateNonlinearError = False
-    params.cacheLinearizedFactors = True
-    params.enablePartialRelinearizationCheck = False
     return params
 
 
 class _Session:
-    """One pass of iSAM2 through the keyframes."""
+    """One pass of iSAM2 through the keyframes: the solver, and the latest causal state."""
 
     def __init__(self, problem: Problem, data: Preintegrated, start: States, config: Isam2Config) -> None:
         import gtsam
 
-        self.problem, self.data, self.config = problem, data, config
+        self.problem, self.data = problem, data
         self.isam = gtsam.ISAM2(parameters(config))
         # held so that callbacks get this object, not a copy of it
         self.theta = self.isam.getLinearizationPoint()
         self.rotation, self.pos, self.vel = start.rotation_nb[0], start.pos_n[0], start.vel_n[0]
-        self.known: set[int] = set()
+        self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self.creeping = set(creep_cycles(problem))
         self.relinearized = self.reeliminated = 0
 
-    def new_values(self, i: int, batch: gtsam.Values) -> None:
+    def step(self, key: int) -> Array:
+        """The solution for one variable relative to its linearization point.
+
+        From its marginal, which needs the cliques above it alone; iSAM2's own estimate would solve for all variables.
+        """
+        import gtsam
+
+        conditional = self.isam.marginalFactor(key, gtsam.EliminateQR)
+        return np.asarray(np.linalg.solve(conditional.R(), conditional.d()))
+
+    def pose(self, i: int) -> Array:
+        """Current estimate of the pose at keyframe i, (4, 4)."""
+        return np.asarray(self.theta.atPose3(X(i)).retract(self.step(X(i))).matrix())
+
+    def calibration(self, epoch: int) -> Array:
+        """Current estimate of the odometer calibration, (4,)."""
+        return np.asarray(self.theta.atVector(C(epoch)) + self.step(C(epoch)))
+
+    def add_keyframe(self, i: int) -> None:
         """Insert the variables that keyframe i brings, predicted from the latest estimates."""
         import gtsam
 
         problem, data = self.problem, self.data
         if i > 0:
-            row = np.array([i - 1])
             rotation, pos, vel = predict(
-                self.rotation[None], self.pos[None], self.vel[None], data.motion, row,
+                self.rotation[None], self.pos[None], self.vel[None], data.motion, np.array([i - 1]),
                 problem.gravity_m_s2, problem.earth_rate_n,
             )  # fmt: skip
             self.rotation, self.pos, self.vel = rotation[0], pos[0], vel[0]
-            e = int(problem.bias_epoch[i - 1])
-            if B(e) not in self.known:
-                default = gtsam.imuBias.ConstantBias(data.accel_bias_b[0], data.gyro_bias_b[0])
-                batch.insert(B(e), self.isam.calculateEstimateConstantBias(B(e - 1)) if B(e - 1) in self.known and e > 0 else default)
-                self.known.add(B(e))
+            self._add_bias(i - 1)
             if problem.has_calibration:
-                c = int(problem.calibration_epoch[i - 1])
-                if C(c) not in self.known:
-                    earlier = C(c - 1) if c > 0 else -1
-                    batch.insert(C(c), self.isam.calculateEstimateVector(earlier) if earlier in self.known else np.zeros(4))
-                    self.known.add(C(c))
-        batch.insert(X(i), gtsam.Pose3(gtsam.Rot3(self.rotation), self.pos))
-        batch.insert(V(i), self.vel)
+                self._add_calibration(i - 1)
+        self.values.insert(X(i), gtsam.Pose3(gtsam.Rot3(self.rotation), self.pos))
+        self.values.insert(V(i), self.vel)
 
-    def update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        try:
-            result = self.isam.update(graph, values)
-        except RuntimeError as error:
-            raise SolveError(f"iSAM2 met a singular system: {str(error).strip().splitlines()[0]}") from None
-        self.relinearized += result.getVariablesRelinearized()
-        self.reeliminated += result.getVariablesReeliminated()
-
-    def read(self, i: int) -> None:
-        """Take the latest estimate of keyframe i.
-
-        From its marginal, which needs the cliques above it alone; iSAM2's own estimate would first solve for all variables.
-        """
+    def _add_bias(self, interval: int) -> None:
         import gtsam
 
-        steps = {}
-        for key in (X(i), V(i)):
-            conditional = self.isam.marginalFactor(key, gtsam.EliminateQR)
-            steps[key] = np.linalg.solve(conditional.R(), conditional.d())
-        pose = self.theta.atPose3(X(i)).retract(steps[X(i)]).matrix()
+        epoch = int(self.problem.bias_epoch[interval])
+        if self.theta.exists(B(epoch)) or self.values.exists(B(epoch)):
+            return
+        earlier = gtsam.imuBias.ConstantBias(self.data.accel_bias_b[0], self.data.gyro_bias_b[0])
+        if epoch > 0 and self.theta.exists(B(epoch - 1)):
+            earlier = self.theta.atConstantBias(B(epoch - 1)).retract(self.step(B(epoch - 1)))
+        self.values.insert(B(epoch), earlier)
+
+    def _add_calibration(self, interval: int) -> None:
+        epoch = int(self.problem.calibration_epoch[interval])
+        if self.theta.exists(C(epoch)) or self.values.exists(C(epoch)):
+            return
+        known = epoch > 0 and self.theta.exists(C(epoch - 1))
+        self.values.insert(C(epoch), self.calibration(epoch - 1) if known else np.zeros(4))
+
+    def add_factor(self, factor: gtsam.NonlinearFactor) -> None:
+        """Add a factor, and the creep variable that it may be the first to mention."""
+        for key in factor.keys() if self.creeping else ():
+            if key >> 56 == ord("k") and not (self.theta.exists(key) or self.values.exists(key)):
+                face = self.problem.log.face
+                self.values.insert(key, np.array([face.creep_m if face else 0.0]))
+        self.pending.add(factor)
+
+    def add_absolute(self, point: ClosedPathPoint) -> None:
+        """The papers' closed-path prior, at the position predicted from the current estimate of the first pass."""
+        i = self.problem.frontend.index(point.first_s)
+        calibration = self.calibration(int(self.problem.calibration_epoch[max(i - 1, 0)]))
+        self.pending.add(predicted_factor(self.problem, point, self.pose(i), calibration))
+
+    def update(self, i: int, relinearize: bool) -> None:
+        """Solve with what is pending, and take the estimate of keyframe i."""
+        import gtsam
+
+        options = gtsam.ISAM2UpdateParams()
+        options.force_relinearize = relinearize
+        try:
+            result = self.isam.update(self.pending, self.values, options)
+        except RuntimeError as error:
+            raise SolveError.singular(error) from None
+        self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self.relinearized += result.getVariablesRelinearized()
+        self.reeliminated += result.getVariablesReeliminated()
+        pose = self.pose(i)
         self.rotation, self.pos = pose[:3, :3], pose[:3, 3]
-        self.vel = self.theta.atVector(V(i)) + steps[V(i)]
+        self.vel = self.theta.atVector(V(i)) + self.step(V(i))
 
 
 def solve(
@@ -145,40 +185,37 @@ def solve(
 
     Parameters
     ----------
+    problem, data : the problem and its condensed sensor data.
     factors : sorted by keyframe, as `build_factors` returns them.
     start : state at the first keyframe.
+    config : thresholds, and how many keyframes share an update; one that is not the last of its update is reported by
+        prediction from the update before.
+    progress : called with keyframes done and in all.
 
-    Notes
-    -----
-    A keyframe that is not the last of its update is reported by prediction from the update before.
+    Raises
+    ------
+    SolveError : a singular system.
     """
-    import time
-
-    import gtsam
-
     session = _Session(problem, data, start, config)
     count = len(problem.keyframe_s)
     causal = States(np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3)))
-    position, seconds = 0, []
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    absolute = problem.frontend.closed_path if problem.config.closed_path.form == "absolute" else ()
+    predicted = [(problem.frontend.index(point.second_s), point) for point in absolute]
+    fed, next_check, seconds = 0, config.relinearize_skip, []
     for i in range(count):
-        session.new_values(i, values)
-        while position < len(factors) and factors[position].keyframe == i:
-            factor = factors[position].factor
-            for key in factor.keys():
-                if key >> 56 == ord("k") and key not in session.known:
-                    face = problem.log.face
-                    values.insert(key, np.array([face.creep_m if face else 0.0]))
-                    session.known.add(key)
-            graph.add(factor)
-            position += 1
-        due = (i + 1) % config.keyframes_per_update == 0 or i == count - 1
-        # the first interval brings the bias that the priors hold: one update for both keyframes
-        if due and i > 0:
+        session.add_keyframe(i)
+        while fed < len(factors) and factors[fed].keyframe == i:
+            session.add_factor(factors[fed].factor)
+            fed += 1
+        while predicted and predicted[0][0] == i:
+            session.add_absolute(predicted.pop(0)[1])
+        # the first keyframe waits for the second, whose interval brings the bias that the priors hold
+        if i > 0 and ((i + 1) % config.keyframes_per_update == 0 or i == count - 1):
             began = time.perf_counter()
-            session.update(graph, values)
-            graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-            session.read(i)
+            relinearize = i >= next_check
+            if relinearize:
+                next_check = i + max(config.relinearize_skip, int(config.relinearize_growth * i))
+            session.update(i, relinearize)
             seconds.append(time.perf_counter() - began)
         causal.rotation_nb[i], causal.pos_n[i], causal.vel_n[i] = session.rotation, session.pos, session.vel
         if progress is not None and (i % 50 == 0 or i == count - 1):
