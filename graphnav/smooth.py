@@ -241,10 +241,12 @@ def _report(problem: Problem, solved: _Solved, blocks: dict[int, Array] | None, 
     vel = np.array([values.atVector(V(i)) for i in range(count)])
     cov = None
     if blocks is not None:
-        cov = np.stack([blocks[X(i)] for i in range(count)])
-        turn = np.tile(np.eye(9), (count, 1, 1))
-        turn[:, 3:6, 3:6] = rotation
-        cov = turn @ cov @ np.swapaxes(turn, 1, 2)
+        cov = np.empty((count, 9, 9))
+        for i in range(count):
+            cov[i] = blocks[X(i)]
+        # GTSAM's position perturbation is in the body frame
+        cov[:, 3:6] = rotation @ cov[:, 3:6]
+        cov[:, :, 3:6] = cov[:, :, 3:6] @ np.swapaxes(rotation, 1, 2)
     gyro, accel = estimated_biases(problem, values)
     bridge = ImuBridge(problem.imu.samples, gyro, accel, problem.gravity_m_s2, problem.earth_rate_n)
     trajectory = Trajectory(problem.keyframe_s, pos, to_quaternion(rotation), vel, cov, bridge)

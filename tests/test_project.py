@@ -18,7 +18,7 @@ HEAVY = {"gtsam", "scipy", "pyarrow", "matplotlib", "pydantic", "rich"}
 
 #: The floors, lowest first; a name is a module or a package with all that is in it.
 FLOORS = (
-    {"graphnav.errors", "graphnav._schema", "graphnav.log", "graphnav.trajectory", "factors"},
+    {"graphnav.errors", "graphnav._schema", "graphnav._spill", "graphnav.log", "graphnav.trajectory", "factors"},
     {
         "graphnav.readers",
         "graphnav.frontends",

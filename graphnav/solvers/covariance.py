@@ -1,9 +1,11 @@
 """Covariances of all keyframes from the square-root information matrix.
 
-GTSAM's marginals go through Cholesky and fail on sound problems. Here the Bayes tree that QR left is walked from its
-roots: with ``R x_f + S x_p = d`` for the frontal variables f and the separator p of a clique, ``G = -R^-1 S``, ``P_fp
-= G P_pp``, ``P_ff = R^-1 R^-T + G P_pp G'`` (G. Golub and R. Plemmons, Linear Algebra Appl. 34 (1980); the
-separator's block is known from the parent clique). No step subtracts, so no step can fail for a well-posed problem.
+GTSAM's marginals go through Cholesky and fail on sound problems. Here the Bayes tree that QR left is walked from its roots:
+with ``R x_f + S x_p = d`` for the frontal variables f and the separator p of a clique, and ``P_pp = L_p L_p'`` known from the
+parent clique, ``P = L L'`` with ``L = [[R^-1, -R^-1 S L_p], [0, L_p]]`` (G. Golub and R. Plemmons, Linear Algebra Appl. 34
+(1980), in square-root form). Only orthogonal transformations and products: what comes out is a covariance, whatever the
+ordering. The same recursion on P itself squares the condition number and was measured to fail where closed-path factors
+tie cycles together (docs/decisions/0004).
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg.lapack import dgeqrf, dtrtri
 
 from factors.so3 import Array
 from graphnav.errors import SolveError
@@ -22,16 +24,16 @@ if TYPE_CHECKING:
 
 
 class _Clique:
-    """Joint covariance of one clique's variables: rows of each key, and how many children still need it."""
+    """Square root of the joint covariance of one clique: rows of each key, and how many children still need it."""
 
-    __slots__ = ("cov", "rows", "waiting")
+    __slots__ = ("root", "rows", "waiting")
 
-    def __init__(self, cov: Array, rows: dict[int, slice], waiting: int) -> None:
-        self.cov, self.rows, self.waiting = cov, rows, waiting
+    def __init__(self, root: Array, rows: dict[int, slice], waiting: int) -> None:
+        self.root, self.rows, self.waiting = root, rows, waiting
 
-    def block(self, keys: Iterable[int]) -> Array:
-        index = np.concatenate([np.arange(self.rows[k].start, self.rows[k].stop) for k in keys])
-        return np.asarray(self.cov[np.ix_(index, index)])
+    def part(self, keys: Iterable[int]) -> Array:
+        """Rows of the square root that belong to `keys`."""
+        return np.concatenate([self.root[self.rows[k]] for k in keys])
 
 
 def joint_marginals(
@@ -75,7 +77,8 @@ def joint_marginals(
         for frontal in clique.rows:
             for name in wanted.get(frontal, ()):
                 if name not in found and all(k in clique.rows for k in groups[name]):
-                    found[name] = clique.block(groups[name])
+                    part = clique.part(groups[name])
+                    found[name] = part @ part.T
         if progress is not None and done % 4096 == 0:
             progress(done, len(order))
     missing = set(groups) - set(found)
@@ -103,30 +106,33 @@ def _solve_clique(
     inverse, status = dtrtri(np.asfortranarray(r))
     if status != 0:
         raise SolveError(f"no information about variable {_name(frontals, rows, status - 1)}")
-    cov = np.empty((at, at))
-    cov[:frontal_dim, :frontal_dim] = inverse @ inverse.T
+    root = np.zeros((at, at))
+    root[:frontal_dim, :frontal_dim] = inverse
     if at > frontal_dim:
         separators = keys[len(frontals) :]
         # the parent holds the separator variable that was eliminated first, so it was opened last
         parent_id = max(owner[k] for k in separators)
         parent = open_cliques[parent_id]
-        p_pp = parent.block(separators)
-        gain = -inverse @ s
-        p_fp = gain @ p_pp
-        cov[:frontal_dim, :frontal_dim] += p_fp @ gain.T
-        cov[:frontal_dim, frontal_dim:] = p_fp
-        cov[frontal_dim:, :frontal_dim] = p_fp.T
-        cov[frontal_dim:, frontal_dim:] = p_pp
+        separator_root = _square(parent.part(separators))
+        root[:frontal_dim, frontal_dim:] = -inverse @ (s @ separator_root)
+        root[frontal_dim:, frontal_dim:] = separator_root
         parent.waiting -= 1
         if parent.waiting == 0:
             del open_cliques[parent_id]
-    clique = _Clique(cov, rows, node.nrChildren())
+    clique = _Clique(root, rows, node.nrChildren())
     identity = len(owner)
     for key in frontals:
         owner[key] = identity
     if clique.waiting:
         open_cliques[identity] = clique
     return clique
+
+
+def _square(wide: Array) -> Array:
+    """A square lower-triangular root of ``wide wide'``."""
+    packed, _, _, _ = dgeqrf(wide.T)
+    size = wide.shape[0]
+    return np.asarray(np.triu(packed[:size]).T)
 
 
 def _name(frontals: list[int], rows: dict[int, slice], row: int) -> str:
