@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 SEED = 11
 #: SEP per cycle, m: Zheng et al., Micromachines 12 (2021) 1527, Table 3, Kalman filter and RTS smoother.
 PAPER_SEP_M = (0.50, 0.32, 0.13, 0.17)
-#: The drive's record has filled-in stretches of up to 1.65 s, which its converter drops.
-_KITTI_CONFIG = {"imu": {"max_gap_s": 2.0}}
-
 ProgressHook = Callable[[str, float, float], None]
 
 
@@ -112,19 +109,18 @@ def _drive(folder: Path, progress: ProgressHook | None) -> tuple[Run, WithheldEr
     from graphnav.readers import kitti_gtsam
 
     log, withheld = kitti_gtsam.split(kitti_gtsam.convert(None))
-    run = _smoothed(log, folder, progress, _KITTI_CONFIG)
+    run = _smoothed(log, folder, progress)
     _keep(run, log, folder, withheld=withheld)
     return run, withheld_error(run.trajectory, withheld)
 
 
-def _smoothed(log: SensorLog, folder: Path, progress: ProgressHook | None, config: dict[str, Any] | None = None) -> Run:
+def _smoothed(log: SensorLog, folder: Path, progress: ProgressHook | None) -> Run:
     """Write the log, so that it can be smoothed again by hand, and smooth it."""
-    from graphnav.config import Config
     from graphnav.readers import write
     from graphnav.smooth import smooth
 
     write(log, folder / "log")
-    return smooth(replace(log, truth=None), config=Config.from_dict(config or {}), progress=progress)
+    return smooth(replace(log, truth=None), progress=progress)
 
 
 def _keep(

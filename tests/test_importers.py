@@ -13,7 +13,6 @@ from scipy.signal import welch
 from scipy.spatial.transform import Rotation
 
 from factors.earth import earth_rate_n, normal_gravity
-from graphnav.config import Config
 from graphnav.errors import LogError
 from graphnav.log import Imu, SensorLog
 from graphnav.readers import comma2k19, euroc, kitti_gtsam
@@ -612,7 +611,7 @@ def test_same_log_twice_and_through_a_folder(name: str, request: pytest.FixtureR
 def withheld_error(log: SensorLog, **how: object) -> tuple[Array, float]:
     """Errors (K,) at withheld positions, m, and their NEES."""
     kept, withheld = kitti_gtsam.split(log, **how)
-    run = smooth(kept, Config.from_dict({"imu": {"max_gap_s": 2.0}}))
+    run = smooth(kept)
     states = run.trajectory.at(withheld.t_s)
     error = states.pos_n - withheld.pos_n_m
     cov = states.cov[:, 3:6, 3:6] + np.eye(3) * withheld.sigma_n_m[:, :, None] ** 2
