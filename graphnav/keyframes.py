@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from graphnav._schema import Array
 from graphnav.config import Config
@@ -57,7 +58,7 @@ def run_frontend(log: SensorLog, config: Config) -> Frontend:
     cycles = find_cycles(log)
     use_path = config.closed_path.form != "off" and log.odometer is not None
     closed = closed_path_points(log, cycles, config.closed_path.interval_m) if use_path else ()
-    closed = tuple(p for p in closed if start <= p.first_s and p.second_s <= end)
+    closed = tuple(p for p in closed if start - _SAME_S <= p.first_s and p.second_s <= end + _SAME_S)
     fixes = _fixes(log, cycles, start, end) if config.position.use else ()
     wanted = [p.first_s for p in closed] + [p.second_s for p in closed] + [t for t, _, _ in fixes]
     if config.keyframes.events:
@@ -68,22 +69,40 @@ def run_frontend(log: SensorLog, config: Config) -> Frontend:
 
 
 def place_keyframes(start_s: float, end_s: float, wanted_s: Array, config: Config, log: SensorLog) -> Array:
-    """Merge wanted times with the regular ones (N,)."""
+    """Merge wanted times with the regular ones (N,).
+
+    Wanted times within a millisecond share a keyframe. A regular one near a wanted one is left out; where that, or the
+    distance travelled, leaves too wide a space, it is divided evenly.
+    """
     interval = config.keyframes.interval_s
-    wanted = np.sort(np.concatenate([wanted_s[(wanted_s > start_s) & (wanted_s < end_s)], [start_s, end_s]]))
-    wanted = wanted[np.concatenate([[True], np.diff(wanted) > _SAME_S])]
-    if end_s - wanted[-1] > 0:
-        wanted[-1] = end_s
-    first = np.ceil(start_s / interval) * interval
-    regular = np.arange(first, end_s, interval)
-    if config.keyframes.distance_m is not None and log.odometer is not None:
-        covered = np.abs(np.diff(mileage(log.odometer), prepend=0.0)).cumsum()
-        marks = np.arange(config.keyframes.distance_m, covered[-1], config.keyframes.distance_m)
-        regular = np.union1d(regular, np.interp(marks, covered, log.odometer.t_s))
-        regular = regular[(regular > start_s) & (regular < end_s)]
+    inside = np.sort(wanted_s[(wanted_s > start_s + _SAME_S) & (wanted_s < end_s - _SAME_S)])
+    wanted = np.concatenate([[start_s], _apart(inside), [end_s]])
+    regular = np.arange(np.ceil(start_s / interval) * interval, end_s, interval)
     near = np.clip(np.searchsorted(wanted, regular), 1, len(wanted) - 1)
     apart = np.minimum(np.abs(regular - wanted[near]), np.abs(regular - wanted[near - 1]))
-    return np.union1d(wanted, regular[apart > _NEAR * interval])
+    times = np.union1d(wanted, regular[apart > _NEAR * interval])
+    shares = np.diff(times) / interval
+    if config.keyframes.distance_m is not None and log.odometer is not None:
+        way = np.interp(times, log.odometer.t_s, mileage(log.odometer))
+        shares = np.maximum(shares, np.abs(np.diff(way)) / config.keyframes.distance_m)
+    return _divided(times, np.where(shares > 1 + _NEAR, np.ceil(shares), 1).astype(int))
+
+
+def _apart(times: Array) -> Array:
+    """Ascending times without those less than a millisecond after the last one kept."""
+    kept: list[float] = []
+    for t in times.tolist():
+        if not kept or t - kept[-1] > _SAME_S:
+            kept.append(t)
+    return np.array(kept)
+
+
+def _divided(times: Array, parts: npt.NDArray[np.int_]) -> Array:
+    """Every space between times divided into a number of equal parts."""
+    if (parts == 1).all():
+        return times
+    spaces = zip(times[:-1], times[1:], parts, strict=True)
+    return np.append(np.concatenate([a + (b - a) * np.arange(n) / n for a, b, n in spaces]), times[-1])
 
 
 def _fixes(
@@ -93,11 +112,11 @@ def _fixes(
     found = []
     if log.position is not None:
         for t, pos, sigma in zip(log.position.t_s, log.position.pos_n_m, log.position.sigma_n_m, strict=True):
-            if start <= t <= end:
+            if start - _SAME_S <= t <= end + _SAME_S:
                 found.append((float(t), pos, sigma))
     for point in log.surveyed:
         when = point.t_s if point.t_s is not None else _arrival(cycles, far=point.end == "far")
-        if when is not None and start <= when <= end:
+        if when is not None and start - _SAME_S <= when <= end + _SAME_S:
             found.append((float(when), point.pos_n_m, np.full(3, point.sigma_m)))
     return tuple(sorted(found, key=lambda fix: fix[0]))
 

@@ -13,6 +13,8 @@ from factors.so3 import Array
 from graphnav.errors import GraphnavError
 
 _MINOR_S = 0.05
+#: Keyframe intervals propagated at a time: bounds the memory that `at` takes.
+_BLOCK = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,16 +98,19 @@ class Trajectory:
         """
         wanted = np.atleast_1d(np.asarray(t_s, float))
         tolerance = 1e-6
-        outside = (wanted < self.t_s[0] - tolerance) | (wanted > self.t_s[-1] + tolerance)
+        outside = ~((wanted >= self.t_s[0] - tolerance) & (wanted <= self.t_s[-1] + tolerance))
         if outside.any():
             raise GraphnavError(
                 f"time {wanted[outside][0]:.6f} s is outside the trajectory's {self.t_s[0]:.6f} .. {self.t_s[-1]:.6f} s"
             )
         times, inverse = np.unique(np.clip(wanted, self.t_s[0], self.t_s[-1]), return_inverse=True)
-        if len(self) == 1:
+        if len(self) == 1 or not len(wanted):
             return self._take(np.zeros(len(wanted), int), wanted)
-        found = self._propagated(times) if self.bridge is not None else self._interpolated(times)
-        return found._take(inverse, wanted)
+        if self.bridge is None:
+            return self._interpolated(times)._take(inverse, wanted)
+        block = self._interval(times) // _BLOCK
+        parts = [self._propagated(part) for part in np.split(times, np.flatnonzero(np.diff(block)) + 1)]
+        return _joined(parts)._take(inverse, wanted)
 
     def _take(self, rows: np.ndarray[tuple[int, ...], np.dtype[np.int64]], t_s: Array) -> Trajectory:
         sorted_enough = len(t_s) < 2 or bool((np.diff(t_s) > 0).all())
@@ -145,7 +150,11 @@ class Trajectory:
         grid = np.union1d(keyframes, times)
         owner = np.clip(np.searchsorted(keyframes, (grid[1:] + grid[:-1]) / 2) - 1, 0, hi - lo - 1) + lo
         fine = compensated_increments(
-            bridge.samples, grid, _MINOR_S, bridge.gyro_bias_b[owner], bridge.accel_bias_b[owner]
+            bridge.samples.block(keyframes[0], keyframes[-1]),
+            grid,
+            _MINOR_S,
+            bridge.gyro_bias_b[owner],
+            bridge.accel_bias_b[owner],
         )
         at_keyframe = fine.first[np.searchsorted(grid, keyframes)]
         motion = cumulate(Increments(at_keyframe, fine.dt_s, fine.rotation_b, fine.velocity_b))
@@ -185,6 +194,15 @@ class Trajectory:
     def without_bridge(self) -> Trajectory:
         """The keyframes alone, without the IMU samples."""
         return replace(self, bridge=None)
+
+
+def _joined(parts: list[Trajectory]) -> Trajectory:
+    """Trajectories one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    t_s, pos, quat, vel = (np.concatenate([getattr(p, f) for p in parts]) for f in ("t_s", "pos_n", "quat_nb", "vel_n"))
+    cov = None if parts[0].cov is None else np.concatenate([p.cov for p in parts if p.cov is not None])
+    return Trajectory(t_s, pos, quat, vel, cov)
 
 
 def _hermite(u: Array, span: Array, end_pos: Array, end_vel: Array) -> tuple[Array, Array]:

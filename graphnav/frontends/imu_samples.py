@@ -32,10 +32,7 @@ class ImuSamples:
 
     def block(self, start_s: float, end_s: float) -> Samples:
         """The samples that cover a span, with one neighbour on either side for the slopes."""
-        edge = self.samples.edge_s
-        lo = max(int(np.searchsorted(edge, start_s + 1e-6)) - 2, 0)
-        hi = min(int(np.searchsorted(edge, end_s - 1e-6)) + 1, len(edge) - 1)
-        return Samples(edge[lo : hi + 1], self.samples.gyro_b[lo:hi], self.samples.accel_b[lo:hi])
+        return self.samples.block(start_s, end_s)
 
 
 def imu_samples(imu: Imu, max_gap_s: float) -> ImuSamples:

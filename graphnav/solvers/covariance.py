@@ -1,11 +1,11 @@
 """Covariances of all keyframes from the square-root information matrix.
 
-GTSAM's marginals go through Cholesky and fail on sound problems. Here the Bayes tree that QR left is walked from its roots:
-with ``R x_f + S x_p = d`` for the frontal variables f and the separator p of a clique, and ``P_pp = L_p L_p'`` known from the
-parent clique, ``P = L L'`` with ``L = [[R^-1, -R^-1 S L_p], [0, L_p]]`` (G. Golub and R. Plemmons, Linear Algebra Appl. 34
-(1980), in square-root form). Only orthogonal transformations and products: what comes out is a covariance, whatever the
-ordering. The same recursion on P itself squares the condition number and was measured to fail where closed-path factors
-tie cycles together (docs/decisions/0004).
+GTSAM's marginals go through Cholesky and fail on sound problems. Here the Bayes tree that QR left is walked from its
+roots: with ``R x_f + S x_p = d`` for the frontal variables f and the separator p of a clique, and ``P_pp = L_p L_p'``
+known from the parent clique, ``P = L L'`` with ``L = [[R^-1, -R^-1 S L_p], [0, L_p]]`` (G. Golub and R. Plemmons,
+Linear Algebra Appl. 34 (1980), in square-root form). Only orthogonal transformations and products: what comes out is
+a covariance, whatever the ordering. The same recursion on P itself squares the condition number and was measured to
+fail where closed-path factors tie cycles together (docs/decisions/0004).
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ def parameters(config: Isam2Config) -> gtsam.ISAM2Params:
     """iSAM2 parameters: QR, and thresholds per kind of variable so that no unit rules the others.
 
     The check for relinearization needs the solution of all variables; `solve` asks for it ever more rarely as the graph
-    grows, so that its cost stays in proportion. The wildfire threshold, one number for metres and rad/s alike, is so low
-    that no bias is cut off.
+    grows, so that its cost stays in proportion. The wildfire threshold, one number for metres and rad/s alike, is so
+    low that no bias is cut off.
     """
     import gtsam
 
