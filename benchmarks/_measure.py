@@ -73,7 +73,7 @@ def child(task: str, arguments: str) -> None:
     try:
         result = getattr(importlib.import_module(module), name)(**json.loads(arguments))
     except Exception as problem:
-        error = f"{type(problem).__name__}: {' '.join(str(problem).split())[:300]}"
+        error = f"{type(problem).__name__}: {' '.join(str(problem).split())[:160]}"
         print(error, file=sys.stderr)
     # a task that goes on after what is measured notes its peak itself
     print(json.dumps({"result": result, "peak_gb": result.pop("peak_gb", None) or peak_gb(), "error": error}))

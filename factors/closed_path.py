@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors import so3
+from factors.noise import diagonal
 from factors.so3 import Array
 
 if TYPE_CHECKING:
@@ -71,9 +72,7 @@ def relative_factor(
 
 def advance_noise(push_sigma_m: float, along_sigma_m: float) -> gtsam.noiseModel.Base:
     """Noise of one prediction in m (right, forward, up): the push to the right and up, the matching along the face."""
-    import gtsam
-
-    return gtsam.noiseModel.Diagonal.Sigmas(np.array([push_sigma_m, along_sigma_m, push_sigma_m]))
+    return diagonal([push_sigma_m, along_sigma_m, push_sigma_m])
 
 
 def creeping_factor(

@@ -29,6 +29,13 @@ class Samples:
     gyro_b: Array
     accel_b: Array
 
+    def block(self, start_s: float, end_s: float) -> Samples:
+        """The samples that cover a span, with one neighbour on either side for the slopes; views, no copies."""
+        edge = self.edge_s
+        lo = max(int(np.searchsorted(edge, start_s + 1e-6)) - 2, 0)
+        hi = min(int(np.searchsorted(edge, end_s - 1e-6)) + 1, len(edge) - 1)
+        return Samples(edge[lo : hi + 1], self.gyro_b[lo:hi], self.accel_b[lo:hi])
+
 
 @dataclass(frozen=True)
 class Increments:
@@ -141,7 +148,8 @@ def _pieces(edges: Array, boundaries: Array) -> tuple[Array, npt_int, npt_int]:
     merged = np.sort(np.concatenate([inside[apart > tolerance], boundaries]))
     middle = (merged[1:] + merged[:-1]) / 2
     row = np.clip(np.searchsorted(edges, middle) - 1, 0, len(edges) - 2)
-    interval = np.searchsorted(boundaries, middle) - 1
+    # by the start of the piece, which is exact however short the interval: its middle may round to a boundary
+    interval = np.searchsorted(boundaries, merged[:-1], side="right") - 1
     return merged, row, interval
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from factors import so3
 from factors.increments import Increments, npt_int
+from factors.noise import diagonal
 from factors.so3 import Array
 
 if TYPE_CHECKING:
@@ -206,7 +207,5 @@ def bias_walk_factor(key_1: int, key_2: int, accel_sigma: float, gyro_sigma: flo
     """Random walk of accelerometer (m/s^2) and gyro (rad/s) bias between two epochs: a native between-factor."""
     import gtsam
 
-    sigmas = np.r_[np.full(3, accel_sigma), np.full(3, gyro_sigma)]
-    # not "smart": GTSAM would take sigmas below 1e-8 for hard constraints
-    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas, False)
+    noise = diagonal(np.r_[np.full(3, accel_sigma), np.full(3, gyro_sigma)])
     return gtsam.BetweenFactorConstantBias(key_1, key_2, gtsam.imuBias.ConstantBias(), noise)

@@ -292,10 +292,7 @@ class DisplacementFamily:
 
     def factor(self, k: int) -> gtsam.CustomFactor:
         """The k-th one alone, for an incremental solver."""
-        import gtsam
-
-        noise = gtsam.noiseModel.Diagonal.Sigmas(self.sigma_m[k], False)
         return displacement_factor(
             int(self.key_i[k]), int(self.key_j[k]), int(self.calibration_key[k]), float(self.distance_m[k]),
-            self.mean_b[k], noise, self.lever_arm_b,
+            self.mean_b[k], diagonal(self.sigma_m[k]), self.lever_arm_b,
         )  # fmt: skip

@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.noise import diagonal
 from factors.so3 import Array
 
 if TYPE_CHECKING:
     import gtsam
 
 
-def position_factor(
-    pose_key: int, pos_n: Array, sigma_n: Array | float, huber: float | None = None
-) -> gtsam.NonlinearFactor:
+def position_factor(pose_key: int, pos_n: Array, sigma_n: Array | float) -> gtsam.NonlinearFactor:
     """A measured position of the body: ``e = p_n - measured`` (native `PoseTranslationPrior3D`).
 
     Parameters
@@ -22,11 +21,8 @@ def position_factor(
     pose_key : Pose3 key.
     pos_n : (3,) measured position, m.
     sigma_n : 1-sigma along east, north, up (3,) or common, m.
-    huber : threshold of a Huber loss in sigmas, or None for a Gaussian one.
     """
     import gtsam
 
-    noise: gtsam.noiseModel.Base = gtsam.noiseModel.Diagonal.Sigmas(np.broadcast_to(sigma_n, 3).astype(float))
-    if huber is not None:
-        noise = gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(huber), noise)
+    noise = diagonal(np.broadcast_to(sigma_n, 3))
     return gtsam.PoseTranslationPrior3D(pose_key, gtsam.Pose3(gtsam.Rot3(), np.asarray(pos_n, float)), noise)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors import so3
+from factors.noise import diagonal
 from factors.so3 import Array
 
 if TYPE_CHECKING:
@@ -69,5 +70,5 @@ def unmoved_factor(key_i: int, key_j: int, attitude_sigma_rad: float, position_s
     """An unchanged pose between two keyframes of one rest: a native between-factor at identity."""
     import gtsam
 
-    sigmas = np.r_[np.full(3, attitude_sigma_rad), np.full(3, position_sigma_m)]
-    return gtsam.BetweenFactorPose3(key_i, key_j, gtsam.Pose3(), gtsam.noiseModel.Diagonal.Sigmas(sigmas))
+    noise = diagonal(np.r_[np.full(3, attitude_sigma_rad), np.full(3, position_sigma_m)])
+    return gtsam.BetweenFactorPose3(key_i, key_j, gtsam.Pose3(), noise)

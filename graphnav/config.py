@@ -69,7 +69,6 @@ class PositionConfig(_Section):
     """Absolute positions."""
 
     use: bool = True
-    huber: float | None = Field(None, gt=0, description="threshold of a Huber loss in sigmas")
 
 
 class BatchConfig(_Section):

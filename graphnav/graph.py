@@ -16,6 +16,7 @@ from factors import closed_path, inertial, odometry, position, stationary
 from factors.earth import earth_rate_n, normal_gravity
 from factors.increments import compensated_increments, npt_int
 from factors.inertial import ImuNoise, Motion, cumulate
+from factors.noise import diagonal
 from factors.odometry import Travel
 from factors.so3 import Array, from_quaternion
 from graphnav.config import Config
@@ -321,17 +322,16 @@ def _common_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
         found += _velocity_factors(problem, data)
     found += _rest_factors(problem)
     found += _closed_path_factors(problem)
-    huber = problem.config.position.huber
     for t, pos_n, sigma_n in problem.frontend.fixes:
         i = problem.frontend.index(t)
-        found.append(FactorAt(i, position.position_factor(X(i), pos_n, sigma_n, huber)))
+        found.append(FactorAt(i, position.position_factor(X(i), pos_n, sigma_n)))
     return found
 
 
 def _priors(problem: Problem) -> list[FactorAt]:
     import gtsam
 
-    initial, diagonal = problem.initial, gtsam.noiseModel.Diagonal.Sigmas
+    initial = problem.initial
     rotation = from_quaternion(initial.quat_nb_wxyz)
     cov = np.zeros((6, 6))
     cov[:3, :3] = np.diag(np.radians(initial.att_sigma_deg) ** 2)
@@ -371,7 +371,7 @@ def _epoch_walks(problem: Problem) -> list[FactorAt]:
         hours = np.sqrt(config.odometer.calibration_epoch_s / 3600)
         mounting = np.radians(config.odometer.mounting_walk_deg_sqrt_h)
         sigmas = hours * np.r_[config.odometer.scale_walk_sqrt_h, np.full(3, mounting)]
-        model = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+        model = diagonal(sigmas)
         for k in np.flatnonzero(np.diff(problem.calibration_epoch)) + 1:
             e = int(problem.calibration_epoch[k])
             found.append(FactorAt(int(k) + 1, gtsam.BetweenFactorVector(C(e - 1), C(e), np.zeros(4), model)))
@@ -435,16 +435,12 @@ def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
 
 def _velocity_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
     """The odometer sample nearest each keyframe, where one is near enough to stand for it."""
-    import gtsam
-
     odometer = problem.log.odometer
     if odometer is None:
         return []
     t = problem.keyframe_s
     step = float(np.median(np.diff(odometer.t_s)))
-    noise = gtsam.noiseModel.Diagonal.Sigmas(
-        np.array([odometer.slip_sigma_m_s, odometer.sigma_m_s, odometer.slip_sigma_m_s])
-    )
+    noise = diagonal([odometer.slip_sigma_m_s, odometer.sigma_m_s, odometer.slip_sigma_m_s])
     edge, gyro = problem.imu.samples.edge_s, problem.imu.samples.gyro_b
     found = []
     for i in range(len(t)):

@@ -148,7 +148,7 @@ class Trajectory:
         lo, hi = int(k[0]), int(k[-1]) + 1
         keyframes = self.t_s[lo : hi + 1]
         grid = np.union1d(keyframes, times)
-        owner = np.clip(np.searchsorted(keyframes, (grid[1:] + grid[:-1]) / 2) - 1, 0, hi - lo - 1) + lo
+        owner = np.searchsorted(keyframes, grid[:-1], side="right") - 1 + lo
         fine = compensated_increments(
             bridge.samples.block(keyframes[0], keyframes[-1]),
             grid,

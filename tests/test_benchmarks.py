@@ -188,7 +188,8 @@ def test_wrong_arguments_are_refused() -> None:
 
 
 def timed(hours: float, seconds: float, peak_gb: float = 0.5) -> shift.Timed:
-    return shift.Timed(hours, Outcome({"seconds": {"total": seconds}, "keyframes": 10}, peak_gb))
+    figures = {"seconds": {"total": seconds, "solve": seconds / 2}, "keyframes": 10, "iterations": 5}
+    return shift.Timed(hours, Outcome(figures, peak_gb))
 
 
 def failed(hours: float) -> shift.Timed:
@@ -232,6 +233,7 @@ def test_peer_a_goes_as_far_as_it_goes() -> None:
     rows, slope = shift.peer_a_rows([*pairs, (failed(4000 / 3600), timed(4000 / 3600, 4.0))], 120.0)
     assert slope == pytest.approx(2.0)
     named = by_name(rows)
+    assert named["peer a: growth exponent of one iteration"].value == pytest.approx(2.0)
     assert named["peer a: longest run within 120 s"].value == pytest.approx(2000 / 3600)
     assert named["batch at 2000 s, beside peer a: whole run"].ratio == pytest.approx(0.5)
     assert named["batch at 4000 s, beside peer a: whole run"].peer is None

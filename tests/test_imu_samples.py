@@ -95,7 +95,9 @@ def test_spread_is_the_signals_own() -> None:
     assert found.accel_spread == pytest.approx(1.5, rel=0.05)
 
 
-@pytest.mark.parametrize(("start_s", "end_s"), [(0.0, 1.0), (0.2, 0.5), (0.205, 0.4951), (0.99, 1.0), (0.5, 0.5 + 1e-7)])
+@pytest.mark.parametrize(
+    ("start_s", "end_s"), [(0.0, 1.0), (0.2, 0.5), (0.205, 0.4951), (0.99, 1.0), (0.5, 0.5 + 1e-7)]
+)
 def test_a_block_covers_its_span_with_a_neighbour_on_either_side(start_s: float, end_s: float) -> None:
     gyro, accel = values(100)
     found = imu_samples(imu_of(REGULAR, gyro, accel), 0.5)

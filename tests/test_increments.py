@@ -82,6 +82,21 @@ def test_intervals_do_not_touch_each_other() -> None:
         assert np.allclose(together.dt_s[rows], alone.dt_s, atol=1e-15)
 
 
+def test_intervals_too_short_for_rounding() -> None:
+    """Boundaries a few units in the last place apart still give every interval its own increment."""
+    samples = shaken()
+    beside = np.nextafter(2.0, 3.0)
+    bounds = np.array([0.0, 1.0, np.nextafter(1.0, 2.0), 2.0, beside, np.nextafter(beside, 3.0), 3.0])
+    increments = compensated_increments(samples, bounds, 0.1)
+    assert (np.diff(increments.first) >= 1).all()
+    lengths = np.add.reduceat(increments.dt_s, increments.first[:-1])
+    assert np.allclose(lengths, np.diff(bounds), rtol=0, atol=1e-15)
+    plain = composed(compensated_increments(samples, np.array([0.0, 1.0, 2.0, 3.0]), 0.1))
+    found = composed(increments)
+    assert np.allclose(found[0], plain[0], atol=1e-9)
+    assert np.allclose(found[1], plain[1], atol=1e-8)
+
+
 def test_biases_per_interval_or_for_all() -> None:
     samples, bounds = shaken(), np.array([0.0, 1.0, 2.2, 3.0])
     gyro, accel = np.array([0.01, -0.02, 0.03]), np.array([0.1, 0.2, -0.3])
