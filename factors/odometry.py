@@ -18,6 +18,7 @@ import numpy as np
 from factors import so3
 from factors.increments import npt_int
 from factors.inertial import Motion
+from factors.noise import diagonal
 from factors.so3 import Array
 
 if TYPE_CHECKING:
