@@ -14,7 +14,8 @@ from graphnav.errors import ConfigError
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # strict: "1" is no number and true is no 1; inf is TOML, but no interval
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 class KeyframesConfig(_Section):
@@ -84,7 +85,7 @@ class Isam2Config(_Section):
 
     keyframes_per_update: int = Field(1, ge=1)
     relinearize_skip: int = Field(100, ge=1, description="keyframes between checks for relinearization, at least")
-    relinearize_growth: float = Field(0.1, ge=0, description="and as a share of the keyframes so far")
+    relinearize_growth: float = Field(0.25, ge=0, description="and as a share of the keyframes so far")
     wildfire_threshold: float = Field(1e-9, ge=0)
     threshold_attitude_rad: float = Field(0.001, gt=0)
     threshold_position_m: float = Field(1.0, gt=0)
@@ -130,6 +131,8 @@ class Config(_Section):
             values = tomllib.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise ConfigError(f"{path}: no such file") from None
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ConfigError(f"{path}: not valid TOML ({error})") from None
         return cls.from_dict(values, str(path))

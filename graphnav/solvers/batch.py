@@ -89,7 +89,10 @@ def solve(
         began = time.perf_counter()
         tree = eliminate(linear, ordering)
         delta = tree.optimize()
-        step = float(np.sqrt(max(2 * (error - linear.error(delta)), 0.0)))
+        gain = error - linear.error(delta)
+        if not gain >= -1e-6 * error - 1e-6:
+            raise SolveError("the problem is singular: its linear solution does not fit; check the log's sigmas")
+        step = float(np.sqrt(max(2 * gain, 0.0)))
         moved = values.retract(delta)
         converged = step <= tolerance_sigma
         damping, next_error = 0.0, error

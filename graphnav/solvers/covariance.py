@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     import gtsam
 
 
+#: A sigma this large (rad, m, m/s) is round-off in place of information.
+_NO_INFORMATION = 1e8
+
+
 class _Clique:
     """Square root of the joint covariance of one clique: rows of each key, and how many children still need it."""
 
@@ -105,7 +109,10 @@ def _solve_clique(
         at += dims(key)
     inverse, status = dtrtri(np.asfortranarray(r))
     if status != 0:
-        raise SolveError(f"no information about variable {_name(frontals, rows, status - 1)}")
+        raise SolveError.singular(ValueError(_name(frontals, rows, status - 1)))
+    loose = np.flatnonzero(~(np.abs(inverse).max(axis=1) < _NO_INFORMATION))
+    if len(loose):
+        raise SolveError.singular(ValueError(_name(frontals, rows, int(loose[0]))))
     root = np.zeros((at, at))
     root[:frontal_dim, :frontal_dim] = inverse
     if at > frontal_dim:
@@ -137,4 +144,4 @@ def _square(wide: Array) -> Array:
 
 def _name(frontals: list[int], rows: dict[int, slice], row: int) -> str:
     key = next(k for k in frontals if rows[k].start <= row < rows[k].stop)
-    return f"{chr(key >> 56).upper()}({key & ((1 << 56) - 1)})"
+    return f"{chr(key >> 56)}{key & ((1 << 56) - 1)}"
