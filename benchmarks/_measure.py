@@ -6,7 +6,6 @@ The parent stays small (standard library only), since Linux may count to a child
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import json
 import os
@@ -15,10 +14,10 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
+from benchmarks._report import ROOT
+
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _UNIT = 1 if sys.platform == "darwin" else 1024  # of ru_maxrss, bytes
 
@@ -100,15 +99,6 @@ class Stopwatch:
     def total(self) -> dict[str, float]:
         """Stages and their sum."""
         return {**self.seconds, "total": sum(self.seconds.values())}
-
-
-def sources_id(*folders: str) -> str:
-    """Short hash of the project's Python files in the given folders: what a cached log depends on."""
-    digest = hashlib.sha256()
-    for folder in folders:
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:10]
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ Standard library only, so that a parent of measured processes stays small.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import math
 import os
@@ -17,6 +18,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("gtsam", "numpy", "scipy", "pyarrow")
 
 
@@ -84,6 +86,33 @@ def exponent(x: list[float], y: list[float]) -> float | None:
     return sum((v - mean_x) * (w - mean_y) for v, w in zip(log_x, log_y, strict=True)) / spread
 
 
+def sources_id(*folders: str) -> str:
+    """Short hash of the project's Python files in the given folders: what a cached log depends on."""
+    digest = hashlib.sha256()
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:10]
+
+
+@dataclass(frozen=True)
+class Before:
+    """What was so before the measurements began.
+
+    Attributes
+    ----------
+    machine : its load was not yet the benchmark's own; sources : hash of the code that is measured.
+    """
+
+    machine: dict[str, Any]
+    sources: str
+
+    @classmethod
+    def now(cls) -> Before:
+        """Take note."""
+        return cls(machine(), sources_id("graphnav", "factors", "benchmarks"))
+
+
 def machine() -> dict[str, Any]:
     """Processor, cores, memory, system."""
     return {
@@ -101,12 +130,19 @@ def _processor() -> str:
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
-def versions() -> dict[str, str]:
-    """Python, graphnav and what it computes with."""
+def versions(before: Before) -> dict[str, str]:
+    """Python, graphnav with a hash of its sources, and what it computes with.
+
+    Sources that changed meanwhile are named: the figures are then of no one version.
+    """
     import graphnav
 
     known = {name: metadata.version(name) for name in PACKAGES}
-    return {"python": platform.python_version(), "graphnav": graphnav.__version__, **known}
+    after = Before.now().sources
+    sources = before.sources if after == before.sources else f"{before.sources}, changed during the run to {after}"
+    if after != before.sources:
+        say("warning: the sources changed during the run; its figures are of no one version")
+    return {"python": platform.python_version(), "graphnav": graphnav.__version__, "sources": sources, **known}
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
@@ -121,16 +157,11 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def publish(rows: Iterable[Row], as_json: bool, before: dict[str, Any]) -> None:
-    """Print the object, or a table for people.
-
-    Parameters
-    ----------
-    before : `machine` as found before the measurements, when its load was not yet the benchmark's own.
-    """
-    rows = list(rows)
+def publish(rows: Iterable[Row], as_json: bool, before: Before) -> None:
+    """Print the object, or a table for people."""
+    rows, known = list(rows), versions(before)
     if as_json:
-        found = {"machine": before, "versions": versions(), "rows": [asdict(r) for r in rows]}
+        found = {"machine": before.machine, "versions": known, "rows": [asdict(r) for r in rows]}
         print(json.dumps(found, indent=1, allow_nan=False), flush=True)
         return
     width = max((len(r.name) for r in rows), default=4)

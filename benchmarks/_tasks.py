@@ -16,7 +16,7 @@ def simulate(folder: str, hours: float, seed: int) -> dict[str, Any]:
     from graphnav.simulation import simulate as simulated
 
     log = simulated("full-shift", seed=seed, hours=hours, sensors="imu,odometer,closed-path")
-    partial = Path(folder).with_suffix(".part")
+    partial = Path(f"{folder}.part")
     write(log, partial, overwrite=True)
     partial.rename(folder)
     return {"imu_rows": len(log.imu) if log.imu is not None else 0}

@@ -13,7 +13,7 @@ import statistics
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks._report import Row, Target, machine, parser, publish, row, say
+from benchmarks._report import Before, Row, Target, parser, publish, row, say
 
 SCENARIO = "shearer-mems"
 
@@ -182,7 +182,7 @@ def main(argv: list[str] | None = None) -> None:
     args.add_argument("--first-seed", type=int, default=0)
     args.add_argument("--method", choices=("batch", "isam2"), default="batch", help="method that is judged")
     args.add_argument("--workers", type=int, default=2, help="processes")
-    arguments, before = args.parse_args(argv), machine()
+    arguments, before = args.parse_args(argv), Before.now()
     # inherited by the workers: more BLAS threads than one slow the small matrices down
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)

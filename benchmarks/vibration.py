@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks._report import Row, machine, parser, publish, row, say
+from benchmarks._report import Before, Row, parser, publish, row, say
 
 Array = npt.NDArray[np.float64]
 
@@ -23,7 +23,7 @@ RATE_HZ = 100
 GRAVITY_M_S2 = 9.7973
 FREQUENCIES_HZ = (5.0, 8.7, 10.0, 20.0, 40.0)  # 10 and 20: whole periods in the longer minor intervals
 SPANS_S = (1.0, 10.0, 60.0)
-MINORS_S = (0.02, 0.05, 0.1)
+MINORS_S = (0.02, 0.05, 0.1, 0.2)
 CONE_RAD = float(np.radians(0.1))
 SHAKE_M_S2 = np.array([3.0, 2.0, 5.0])  # amplitudes in n, 0.2 to 0.5 g
 PHASE_RAD = np.array([0.3, 1.1, 2.0])
@@ -186,7 +186,7 @@ def main(argv: list[str] | None = None) -> None:
     args.add_argument("--spans", type=_numbers, default=list(SPANS_S), help="intervals, s (default 1,10,60)")
     args.add_argument("--frequencies", type=_numbers, default=list(FREQUENCIES_HZ), help="Hz (default 5,8.7,10,20,40)")
     args.add_argument("--cost-span", type=float, default=COST_SPAN_S, help="record that the cost is measured on, s")
-    arguments, before = args.parse_args(argv), machine()
+    arguments, before = args.parse_args(argv), Before.now()
     rows = [r for f in arguments.frequencies for r in error_rows(f, arguments.spans)]
     rows += cost_rows(arguments.cost_span)
     publish(rows, arguments.json, before)

@@ -29,8 +29,8 @@ class KeyframesConfig(_Section):
 class ImuConfig(_Section):
     """Preintegration and biases."""
 
-    minor_interval_s: float = Field(0.1, gt=0, description="longest minor interval of the two-speed algorithm")
-    minor_angle_rad: float = Field(0.02, gt=0, description="and largest usual rotation within it")
+    minor_interval_s: float = Field(0.2, gt=0, description="longest minor interval of the two-speed algorithm")
+    minor_angle_rad: float = Field(0.05, gt=0, description="and largest usual rotation within it")
     bias_epoch_s: float = Field(60.0, gt=0, description="span of one bias variable")
     max_gap_s: float = Field(2.0, gt=0, description="longest hole in the IMU record that is bridged")
 

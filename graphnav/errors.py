@@ -71,8 +71,13 @@ class SolveError(GraphnavError):
         found = re.search(r"\b([xvbck])(\d+)\b|\b(\d{16,20})\b", str(error))
         if found is None:
             return cls(f"the problem is singular: {str(error).strip().splitlines()[0]}")
-        letter, number = found[1], int(found[2] or found[3])
-        if letter is None:
-            letter, number = chr(number >> 56), number & ((1 << 56) - 1)
+        if found[1] is None:
+            return cls.undetermined(int(found[3]))
+        return cls.undetermined(ord(found[1]) << 56 | int(found[2]))
+
+    @classmethod
+    def undetermined(cls, key: int) -> SolveError:
+        """The error for a variable that no measurement determines, given its key."""
+        letter, number = chr(key >> 56), key & ((1 << 56) - 1)
         what, missing = _VARIABLES.get(letter, ("variable", "its measurements"))
         return cls(f"the problem is singular: nothing determines {what} {number}; check {missing}")

@@ -250,16 +250,20 @@ def _interval_params(
     touching = bridged[(bridged[:, 1] > bounds[0]) & (bridged[:, 0] < bounds[-1])]
     if not len(touching):
         return params
-    out = [params] * (len(bounds) - 1)
+    # independent holes add up in variance
+    guessed = np.zeros(len(bounds) - 1)
     for a, b in touching:
-        for k in range(max(int(np.searchsorted(bounds, a)) - 1, 0), min(int(np.searchsorted(bounds, b)), len(out))):
-            share = (b - a) / np.sqrt(bounds[k + 1] - bounds[k])
-            noise = replace(
-                problem.noise,
-                gyro_density=float(np.hypot(problem.noise.gyro_density, problem.imu.gyro_spread * share)),
-                accel_density=float(np.hypot(problem.noise.accel_density, problem.imu.accel_spread * share)),
-            )
-            out[k] = inertial.preintegration_params(noise, problem.gravity_m_s2, problem.earth_rate_n)
+        length = np.minimum(b, bounds[1:]) - np.maximum(a, bounds[:-1])
+        guessed += np.maximum(length, 0.0) ** 2
+    out = [params] * len(guessed)
+    for k in np.flatnonzero(guessed):
+        share = np.sqrt(guessed[k] / (bounds[k + 1] - bounds[k]))
+        noise = replace(
+            problem.noise,
+            gyro_density=float(np.hypot(problem.noise.gyro_density, problem.imu.gyro_spread * share)),
+            accel_density=float(np.hypot(problem.noise.accel_density, problem.imu.accel_spread * share)),
+        )
+        out[k] = inertial.preintegration_params(noise, problem.gravity_m_s2, problem.earth_rate_n)
     return out
 
 
@@ -442,11 +446,12 @@ def _velocity_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
     step = float(np.median(np.diff(odometer.t_s)))
     noise = diagonal([odometer.slip_sigma_m_s, odometer.sigma_m_s, odometer.slip_sigma_m_s])
     edge, gyro = problem.imu.samples.edge_s, problem.imu.samples.gyro_b
-    found = []
+    found, used = [], -1
     for i in range(len(t)):
         row = int(np.clip(np.searchsorted(odometer.t_s, t[i] - step / 2), 0, len(odometer) - 1))
-        if abs(odometer.t_s[row] - t[i]) > 0.51 * step:
+        if abs(odometer.t_s[row] - t[i]) > 0.51 * step or row == used:
             continue
+        used = row
         k = min(max(i - 1, 0), len(t) - 2)
         sample = int(np.clip(np.searchsorted(edge, t[i]) - 1, 0, len(gyro) - 1))
         rate = gyro[sample] - data.gyro_bias_b[k]
@@ -477,6 +482,8 @@ def _closed_path_factors(problem: Problem) -> list[FactorAt]:
     Between the ends of the face two passes are matched by the odometer, whose samples the graph already holds: along
     the face they say nothing new there (decision 0003), so that row is left as wide as the face.
     """
+    import gtsam
+
     face = problem.log.face
     if face is None or problem.config.closed_path.form != "relative":
         return []

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from factors import so3
-from factors.increments import Increments, Samples, compensated_increments
+from factors.increments import Samples, compensated_increments
 from factors.inertial import cumulate, predict
 from factors.so3 import Array
 from graphnav.errors import GraphnavError
@@ -157,7 +157,7 @@ class Trajectory:
             bridge.accel_bias_b[owner],
         )
         at_keyframe = fine.first[np.searchsorted(grid, keyframes)]
-        motion = cumulate(Increments(at_keyframe, fine.dt_s, fine.rotation_b, fine.velocity_b))
+        motion = cumulate(replace(fine, first=at_keyframe))
         rotation_nb = self.rotation_nb[lo : hi + 1]
 
         def carried(

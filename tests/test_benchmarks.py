@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from tree import ROOT, python
 
-from benchmarks import accuracy, shift
+from benchmarks import _shift_rows as shift
+from benchmarks import accuracy
 from benchmarks._measure import Outcome, measured
-from benchmarks._report import Row, Target, exponent, row
+from benchmarks._report import Before, Row, Target, exponent, row, versions
 from benchmarks.vibration import GRAVITY_M_S2, RATE_HZ, Shaking, errors, per_sample
 from graphnav.config import Config
 from graphnav.keyframes import run_frontend
@@ -76,6 +77,14 @@ def test_exponent_of_a_power_law() -> None:
     assert exponent([], []) is None
 
 
+def test_sources_that_change_meanwhile_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    before = Before.now()
+    assert versions(before)["sources"] == before.sources
+    assert not capsys.readouterr().err
+    assert "changed during the run" in versions(Before(before.machine, "another"))["sources"]
+    assert "warning" in capsys.readouterr().err
+
+
 # Measured processes -----------------------------------------------------------------------------------------
 
 TASKS = """
@@ -133,7 +142,7 @@ def rows_of(script: str, *args: str) -> dict[str, dict[str, Any]]:
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout, parse_constant=lambda text: pytest.fail(f"{text} is not JSON"))
     assert found.keys() == {"machine", "versions", "rows"}
-    assert found["versions"].keys() >= {"python", "graphnav", "gtsam", "numpy"}
+    assert found["versions"].keys() >= {"python", "graphnav", "sources", "gtsam", "numpy"}
     assert found["machine"]["cores"] == os.cpu_count()
     rows = found["rows"]
     assert all(r.keys() == COLUMNS for r in rows)
@@ -178,10 +187,19 @@ def test_accuracy_script() -> None:
     assert rows["isam2 less batch: rms position, worst run"]["target"] == "<= 5 mm"
 
 
-def test_wrong_arguments_are_refused() -> None:
-    done = python("-m", "benchmarks.shift", "--methods", "magic", cwd=ROOT)
+@pytest.mark.parametrize(
+    "option, value, text",
+    [
+        ("--methods", "magic", "choose from batch,isam2"),
+        ("--repeats", "0", "at least 1"),
+        ("--hours", "", "at least 1"),
+    ],
+)
+def test_wrong_arguments_are_refused(option: str, value: str, text: str) -> None:
+    done = python("-m", "benchmarks.shift", option, value, cwd=ROOT)
     assert done.returncode == 2
-    assert "choose from batch,isam2" in done.stderr
+    assert text in done.stderr
+    assert not done.stdout
 
 
 # Shift: targets and failures --------------------------------------------------------------------------------

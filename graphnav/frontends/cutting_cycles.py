@@ -13,10 +13,13 @@ import numpy as np
 
 from graphnav._schema import Array
 from graphnav.errors import LogError
+from graphnav.frontends.rest import odometer_rest
 from graphnav.log import Odometer, SensorLog
 
 #: A stretch in one direction counts as a cut when it covers this share of the face.
 _CUT_SHARE = 0.7
+#: From 99.8 % of a cut to the stop, and from the stop to 0.2 %, it takes no longer than this.
+_STOPPING_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -98,6 +101,7 @@ def _from_events(log: SensorLog) -> tuple[Cycle, ...]:
 def _from_odometer(odometer: Odometer, length_m: float) -> tuple[Cycle, ...]:
     travelled = mileage(odometer)
     turns = _reversals(travelled, threshold=max(0.02 * length_m, 20 * odometer.sigma_m_s * 0.1))
+    stops = odometer_rest(odometer)
     cycles: list[Cycle] = []
     for a, b in itertools.pairwise(turns):
         covered = travelled[b] - travelled[a]
@@ -107,11 +111,22 @@ def _from_odometer(odometer: Odometer, length_m: float) -> tuple[Cycle, ...]:
         progress = np.abs(travelled[a : b + 1] - travelled[a])
         begin = a + int(np.flatnonzero(progress <= margin)[-1])
         finish = a + int(np.flatnonzero(progress >= abs(covered) - margin)[0])
+        start_s, end_s = _at_stops(stops, float(odometer.t_s[begin]), float(odometer.t_s[finish]))
         # a cut that the end of the log breaks off has not reached the end of the face
         done = b < turns[-1] or abs(covered) > 0.97 * length_m
-        end = float(odometer.t_s[finish]) if done else None
-        cycles.append(Cycle(len(cycles) + 1, float(odometer.t_s[begin]), end, forward=bool(covered > 0)))
+        cycles.append(Cycle(len(cycles) + 1, start_s, end_s if done else None, forward=bool(covered > 0)))
     return tuple(cycles)
+
+
+def _at_stops(stops: Array, start_s: float, end_s: float) -> tuple[float, float]:
+    """Start and end of a cut moved outwards to the stops next to them, where the machine stands at the end of the face.
+
+    A surveyed end and the closed path are told of these times: a second before the stop is centimetres short of it.
+    """
+    before = stops[(stops[:, 0] <= start_s) & (stops[:, 1] > start_s - _STOPPING_S)]
+    after = stops[(stops[:, 1] >= end_s) & (stops[:, 0] < end_s + _STOPPING_S)]
+    start = min(start_s, float(before[-1, 1])) if len(before) else start_s
+    return start, max(end_s, float(after[0, 0])) if len(after) else end_s
 
 
 def _reversals(travelled: Array, threshold: float) -> list[int]:

@@ -1,4 +1,4 @@
-"""Batch smoothing: Gauss-Newton with Levenberg-Marquardt damping, driven from Python, QR throughout.
+"""Batch smoothing: Gauss-Newton with Levenberg-Marquardt damping, driven from Python, its result by QR.
 
 GTSAM's own optimizers copy all values at every call of a Python factor, and its Cholesky fails on sound long chains;
 a loop over ``graph.linearize`` and multifrontal QR does neither.
@@ -22,6 +22,10 @@ if TYPE_CHECKING:
 #: Damping tried when a full step does not lower the error, as a share of one whitened unit.
 _FIRST_DAMPING = 1e-3
 _MAX_DAMPING = 1e8
+#: From a step this short on, elimination is by QR: the next one is probably the last.
+_NEAR_SIGMAS = 30.0
+#: Diagonal entries of R this much smaller than their clique's largest are round-off.
+_RANK = 1e-12
 
 
 @dataclass(frozen=True)
@@ -85,14 +89,14 @@ def solve(
     error = linear.error(values.zeroVectors())
     if not np.isfinite(error):
         raise SolveError("the error is not finite at the start: check the log for impossible values")
+    near = False
     while True:
         began = time.perf_counter()
-        tree = eliminate(linear, ordering)
-        delta = tree.optimize()
-        gain = error - linear.error(delta)
-        if not gain >= -1e-6 * error - 1e-6:
-            raise SolveError("the problem is singular: its linear solution does not fit; check the log's sigmas")
-        step = float(np.sqrt(max(2 * gain, 0.0)))
+        tree, delta, step = _step(linear, ordering, error, exact=near)
+        if step <= _NEAR_SIGMAS and not near:
+            near = True
+            if step <= tolerance_sigma:
+                tree, delta, step = _step(linear, ordering, error, exact=True)
         moved = values.retract(delta)
         converged = step <= tolerance_sigma
         damping, next_error = 0.0, error
@@ -114,7 +118,30 @@ def solve(
             tree = eliminate(linear, ordering)
             break
     order = [ordering.at(k) for k in range(ordering.size())]
+    _check_determined(tree, order)
     return BatchResult(values, tree, tuple(iterations), converged, order)
+
+
+def _step(
+    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, error: float, exact: bool
+) -> tuple[gtsam.GaussianBayesTree, gtsam.VectorValues, float]:
+    """Bayes tree, Gauss-Newton step and its length in joint sigmas.
+
+    Far from the minimum Cholesky will do, at a third of the cost of QR: where it fails, or its step does not lower
+    the linear error, QR takes over. What the result and its covariances rest on is always QR (`exact`).
+    """
+    if not exact:
+        try:
+            tree = linear.eliminateMultifrontal(ordering)
+            delta = tree.optimize()
+            gain = error - linear.error(delta)
+            if np.isfinite(gain) and gain > 0:
+                return tree, delta, float(np.sqrt(2 * gain))
+        except RuntimeError:
+            pass  # indeterminate to Cholesky, as sound long chains may be
+    tree = eliminate(linear, ordering)
+    delta = tree.optimize()
+    return tree, delta, float(np.sqrt(max(2 * (error - linear.error(delta)), 0.0)))
 
 
 def eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesTree:
@@ -125,6 +152,16 @@ def eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gt
         return linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
     except RuntimeError as error:
         raise SolveError.singular(error) from None
+
+
+def _check_determined(tree: gtsam.GaussianBayesTree, order: list[int]) -> None:
+    """Refuse a solution with an undetermined variable: behind loops QR leaves a diagonal of round-off, and no error."""
+    for key in order:
+        conditional = tree[key].conditional()
+        if conditional.firstFrontalKey() == key:
+            diagonal = np.abs(np.diagonal(conditional.R()))
+            if diagonal.min() <= _RANK * diagonal.max():
+                raise SolveError.undetermined(key)
 
 
 def _damped_step(

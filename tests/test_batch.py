@@ -1,0 +1,201 @@
+"""Batch solver: convergence rule, damping, singular problems."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+import pytest
+from engine_logs import SHORT, simulated
+from jacobians import random_rotation
+
+from graphnav import graph as build
+from graphnav.config import Config
+from graphnav.errors import SolveError
+from graphnav.graph import SmoothingGraph, V, X
+from graphnav.keyframes import run_frontend
+from graphnav.solvers import batch
+
+UNIT = gtsam.noiseModel.Unit.Create
+
+
+def chain(
+    count: int, *, prior: bool = True, loops: int = 0, start_error: float = 0.3
+) -> tuple[gtsam.NonlinearFactorGraph, ...]:
+    """Poses tied to their neighbours, the values they were measured at and a start some way off."""
+    rng = np.random.default_rng(1)
+    poses = [gtsam.Pose3(gtsam.Rot3(random_rotation(rng)), rng.normal(0, 5, 3)) for _ in range(count)]
+    graph, true, start = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.Values()
+    if prior:
+        graph.add(gtsam.PriorFactorPose3(X(0), poses[0], UNIT(6)))
+    for i, pose in enumerate(poses):
+        true.insert(X(i), pose)
+        start.insert(X(i), pose.retract(rng.normal(0, start_error, 6)))
+    pairs = [(i, i + 1) for i in range(count - 1)] + [(i, count - 1) for i in range(loops)]
+    for i, j in pairs:
+        measured = poses[i].between(poses[j])
+        if j - i > 1:
+            measured = measured.compose(gtsam.Pose3(gtsam.Rot3(), [0.1, 0, 0]))
+        graph.add(gtsam.BetweenFactorPose3(X(i), X(j), measured, UNIT(6)))
+    return graph, true, start
+
+
+def ranges(start: list[float]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, np.ndarray]:
+    """A point from four ranges, started where a full step overshoots."""
+    anchors = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 10.0, 0.0], [0.0, 0.0, 10.0]])
+    true = np.array([3.0, 4.0, 5.0])
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, anchor in enumerate(anchors):
+        values.insert(V(k + 1), anchor)
+        graph.add(gtsam.PriorFactorPoint3(V(k + 1), anchor, gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
+        distance = float(np.linalg.norm(true - anchor))
+        graph.add(gtsam.RangeFactor3(V(0), V(k + 1), distance, gtsam.noiseModel.Isotropic.Sigma(1, 0.1)))
+    values.insert(V(0), np.array(start))
+    return graph, values, true
+
+
+# convergence ------------------------------------------------------------------------------------------------
+
+
+def test_the_minimum_is_found() -> None:
+    graph, true, start = chain(20)
+    result = batch.solve(graph, start)
+    assert result.converged
+    for i in range(20):
+        assert true.atPose3(X(i)).equals(result.values.atPose3(X(i)), 1e-6)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, start)
+    assert graph.error(result.values) <= graph.error(optimizer.optimize()) + 1e-9
+
+
+def test_the_last_step_is_below_the_tolerance_and_the_one_before_above() -> None:
+    graph, _, start = chain(20, loops=3)
+    for tolerance in (1.0, 0.01, 1e-6):
+        steps = [i.step_sigmas for i in batch.solve(graph, start, tolerance_sigma=tolerance).iterations]
+        assert steps[-1] <= tolerance
+        assert all(s > tolerance for s in steps[:-1])
+
+
+def test_step_length_is_in_joint_sigmas() -> None:
+    """One variable with two priors: from 1 sigma of the combination away the step is 1."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    values.insert(V(0), np.array([0.1, 0.0, 0.0]))
+    for _ in range(4):
+        graph.add(gtsam.PriorFactorVector(V(0), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 0.2)))
+    result = batch.solve(graph, values)
+    assert result.iterations[0].step_sigmas == pytest.approx(1.0)
+    assert result.iterations[0].error == pytest.approx(0.5 * 4 * 0.5**2)
+
+
+def test_iterations_run_out() -> None:
+    graph, _, start = chain(20)
+    result = batch.solve(graph, start, max_iterations=1)
+    assert not result.converged
+    assert len(result.iterations) == 1
+    assert graph.error(result.values) < graph.error(start)
+    assert set(result.order) == set(start.keys())
+
+
+def test_errors_never_rise() -> None:
+    for case in (chain(20, loops=5, start_error=0.6)[::2], ranges([30.0, -20.0, 0.1])[:2]):
+        graph, start = case
+        errors = [i.error for i in batch.solve(graph, start, max_iterations=100).iterations]
+        assert all(b <= a * (1 + 1e-9) for a, b in pairwise(errors))
+
+
+def test_progress_is_told() -> None:
+    graph, _, start = chain(5)
+    seen: list[tuple[float, float]] = []
+    result = batch.solve(graph, start, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(k + 1, 25) for k in range(len(result.iterations))]
+
+
+# damping ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "start", [[0.05, 0.02, 0.01], [16.0, 4.3, -4.1], [20.6, 0.6, 6.8], [30.0, -20.0, 0.1], [-5.0, -6.0, -7.0]]
+)
+def test_a_bad_start_is_damped_to_the_minimum(start: list[float]) -> None:
+    graph, values, true = ranges(start)
+    result = batch.solve(graph, values, max_iterations=200)
+    assert result.converged
+    assert result.values.atVector(V(0)) == pytest.approx(true, abs=1e-3)
+
+
+def test_damping_is_used_where_a_full_step_overshoots() -> None:
+    graph, values, _ = ranges([16.0, 4.3, -4.1])
+    full = values.retract(graph.linearize(values).optimize())
+    assert graph.error(full) > graph.error(values)  # or this test would show nothing
+    dampings = [i.damping for i in batch.solve(graph, values, max_iterations=200).iterations]
+    assert dampings[0] > 0
+    assert dampings[-1] == 0
+
+
+# singular ---------------------------------------------------------------------------------------------------
+
+
+def test_an_undetermined_pose_is_named() -> None:
+    graph, _, start = chain(5, prior=False)
+    with pytest.raises(SolveError, match=r"the problem is singular: nothing determines the pose of keyframe \d; check"):
+        batch.solve(graph, start)
+
+
+@pytest.mark.parametrize("loops", [1, 2, 3])
+def test_an_undetermined_pose_behind_loops_is_not_called_converged(loops: int) -> None:
+    """More rows than unknowns, and still no rank: QR alone does not see it."""
+    graph, _, start = chain(6, prior=False, loops=loops, start_error=0.0)
+    with pytest.raises(SolveError, match=r"singular|no step lowers the error"):
+        batch.solve(graph, start)
+
+
+def test_an_error_that_is_no_number_is_refused() -> None:
+    graph, _, start = chain(3)
+    start.update(X(1), gtsam.Pose3(gtsam.Rot3(), [np.inf, 0, 0]))
+    with pytest.raises(SolveError, match="not finite at the start"):
+        batch.solve(graph, start)
+
+
+# on the engine's own problem --------------------------------------------------------------------------------
+
+
+def problem_at_start() -> tuple[build.Problem, SmoothingGraph, gtsam.Values]:
+    log, config = simulated(SHORT), Config()
+    problem = build.pose_problem(log, config, run_frontend(log, config))
+    start, bias = build.start_state(problem)
+    data = build.preintegrate(problem, bias, np.zeros(3))
+    return problem, build.build_graph(problem, data), build.initial_values(problem, data, start)
+
+
+def test_the_start_does_not_matter() -> None:
+    """From dead reckoning, and from there with every pose off by 6 deg and 10 cm."""
+    problem, graph, values = problem_at_start()
+    rng = np.random.default_rng(2)
+    off = gtsam.Values(values)
+    for i in range(len(problem.keyframe_s)):
+        off.update(X(i), values.atPose3(X(i)).retract(rng.normal(0, 0.1, 6)))
+    results = [batch.solve(graph, v, tolerance_sigma=1e-4) for v in (values, off)]
+    assert all(r.converged for r in results)
+    for i in range(len(problem.keyframe_s)):
+        a, b = (r.values.atPose3(X(i)).matrix() for r in results)
+        assert np.allclose(a, b, rtol=0, atol=1e-5)
+
+
+def test_the_gradient_vanishes_at_the_solution() -> None:
+    """Scaled by the square root of each variable's information: a part of a sigma."""
+    _, graph, values = problem_at_start()
+    result = batch.solve(graph, values, tolerance_sigma=1e-5)
+    jacobian, b = graph.linearize(result.values).jacobian()
+    assert np.abs(jacobian.T @ b / np.linalg.norm(jacobian, axis=0)).max() < 1e-2
+
+
+def test_arrays_and_single_factors_are_one_problem() -> None:
+    """What a batch solver linearizes is what an incremental one is fed."""
+    problem, graph, values = problem_at_start()
+    start, bias = build.start_state(problem)
+    data = build.preintegrate(problem, bias, np.zeros(3))
+    single = gtsam.NonlinearFactorGraph()
+    for found in build.build_factors(problem, data):
+        single.add(found.factor)
+    assert single.error(values) == pytest.approx(graph.linearize(values).error(values.zeroVectors()), rel=1e-9)
+    assert start.pos_n.shape == (1, 3)
