@@ -1,7 +1,6 @@
 """Measured runs, each in a process of its own: its peak memory is that run's and nothing else's.
 
-The parent stays small (standard library only), since Linux may count to a child what it shared with its parent before
-`exec`.
+The high-water mark of the child's own memory map, since ``ru_maxrss`` may count what its parent held at the fork.
 """
 
 from __future__ import annotations
@@ -9,7 +8,6 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -17,9 +15,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks._report import ROOT
+from graphnav._memory import peak_bytes
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-_UNIT = 1 if sys.platform == "darwin" else 1024  # of ru_maxrss, bytes
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ def measured(task: str, arguments: dict[str, Any], limit_s: float | None = None)
 
 def peak_gb() -> float:
     """Peak resident memory of this process so far, 1e9 bytes."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _UNIT / 1e9
+    return peak_bytes() / 1e9
 
 
 def child(task: str, arguments: str) -> None:

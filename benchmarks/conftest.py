@@ -41,15 +41,18 @@ def stages() -> Stages:
     import numpy as np
 
     from graphnav import graph as build
+    from graphnav import initial as initial_
+    from graphnav import preintegration as preintegration_
+    from graphnav import problem as problem_
     from graphnav.config import Config
     from graphnav.keyframes import run_frontend
     from graphnav.simulation import simulate
     from graphnav.solvers import batch
 
     log, config = simulate("full-shift", seed=1, hours=MINUTES / 60), Config()
-    problem = build.pose_problem(log, config, run_frontend(log, config))
-    start, gyro_bias = build.start_state(problem)
-    data = build.preintegrate(problem, gyro_bias, np.zeros(3))
-    values = build.initial_values(problem, data, start)
+    problem = problem_.pose_problem(log, config, run_frontend(log, config))
+    start, gyro_bias = initial_.start_state(problem)
+    data = preintegration_.preintegrate(problem, gyro_bias, np.zeros(3))
+    values = initial_.initial_values(problem, data, start)
     graph = build.build_graph(problem, data)
     return Stages(problem, gyro_bias, np.zeros(3), data, values, graph, batch.solve(graph, values))

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.conftest import MINUTES, Stages
-from graphnav import graph as build
-from graphnav.graph import V, X
+from graphnav import preintegration as preintegration_
+from graphnav.problem import V, X
 from graphnav.solvers import batch
 from graphnav.solvers.covariance import joint_marginals
 
@@ -17,7 +17,7 @@ DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1}
 
 
 def test_preintegration(benchmark: Any, stages: Stages) -> None:
-    data = benchmark(build.preintegrate, stages.problem, stages.gyro_bias, stages.accel_bias)
+    data = benchmark(preintegration_.preintegrate, stages.problem, stages.gyro_bias, stages.accel_bias)
     assert len(data.imu_factors) == KEYFRAMES - 1
 
 

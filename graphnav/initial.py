@@ -6,6 +6,7 @@ Nothing here sees truth. Heading comes from the log's declared initial state; ti
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,8 +14,13 @@ from factors import so3
 from factors.increments import Samples
 from factors.inertial import Motion, predict
 from factors.odometry import Travel
-from factors.so3 import Array
+from factors.so3 import Array, from_quaternion
 from graphnav.log import SensorLog
+from graphnav.preintegration import Preintegrated
+from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
+
+if TYPE_CHECKING:
+    import gtsam
 
 
 @dataclass(frozen=True)
@@ -123,3 +129,45 @@ def _by_fixes(keyframe_s: Array, rotation: Array, fixes: tuple[tuple[float, Arra
 def _orthonormal(rotation: Array) -> Array:
     """Remove the round-off of thousands of products."""
     return so3.from_quaternion(so3.to_quaternion(rotation))
+
+
+def start_state(problem: Problem) -> tuple[States, Array]:
+    """Declared initial state, levelled by the first rest, and the gyro bias (3,) that the rest shows."""
+    initial, rest = problem.initial, problem.frontend.rest_s
+    rotation = from_quaternion(initial.quat_nb_wxyz)
+    rotation = levelled(
+        problem.imu.samples,
+        rest,
+        rotation,
+        float(problem.keyframe_s[0]),
+        float(np.radians(initial.att_sigma_deg[:2].max())),
+        problem.noise.accel_bias / problem.gravity_m_s2,
+    )
+    bias = rest_bias(problem.imu.samples, rest, rotation, problem.earth_rate_n)
+    if np.abs(bias).max() > 5 * problem.noise.gyro_bias:
+        bias = np.zeros(3)
+    return States(rotation[None], initial.pos_n_m[None], initial.vel_n_m_s[None]), bias
+
+
+def initial_values(problem: Problem, data: Preintegrated, start: States) -> gtsam.Values:
+    """Dead-reckoned states, preintegration biases and zero calibration as GTSAM values."""
+    import gtsam
+
+    states = dead_reckoning(
+        problem.log, problem.keyframe_s, data.motion, data.travel, start, problem.frontend.fixes,
+        problem.gravity_m_s2, problem.earth_rate_n,
+    )  # fmt: skip
+    values = gtsam.Values()
+    for i in range(len(problem.keyframe_s)):
+        values.insert(X(i), gtsam.Pose3(gtsam.Rot3(states.rotation_nb[i]), states.pos_n[i]))
+        values.insert(V(i), states.vel_n[i])
+    first_of_epoch = np.searchsorted(problem.bias_epoch, np.arange(problem.bias_epoch[-1] + 1))
+    for e, k in enumerate(first_of_epoch):
+        values.insert(B(e), gtsam.imuBias.ConstantBias(data.accel_bias_b[k], data.gyro_bias_b[k]))
+    if problem.has_calibration:
+        for e in range(int(problem.calibration_epoch[-1]) + 1):
+            values.insert(C(e), np.zeros(4))
+    face = problem.log.face
+    for c in creep_cycles(problem):
+        values.insert(K(c), np.array([face.creep_m if face else 0.0]))
+    return values

@@ -6,7 +6,6 @@ solve (batch or iSAM2) - covariances.
 
 from __future__ import annotations
 
-import resource
 import sys
 import time
 from collections.abc import Callable
@@ -19,30 +18,26 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array, to_quaternion
-from graphnav import graph as build
-from graphnav._spill import release
+from graphnav._memory import peak_bytes, release
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.rest import rest_spans
 from graphnav.frontends.units import refuse_wrong_units
-from graphnav.graph import B, C, K, Preintegrated, Problem, V, X
-from graphnav.initial import States
+from graphnav.graph import build_factors, build_graph
+from graphnav.initial import States, initial_values, start_state
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
-from graphnav.run import Calibration, Diagnostics, Run
+from graphnav.outcome import calibration, covariances, estimated_biases, smoothed_trajectory, warnings
+from graphnav.preintegration import Preintegrated, preintegrate
+from graphnav.problem import Problem, pose_problem
+from graphnav.run import Diagnostics, Run
 from graphnav.solvers import absolute, batch, incremental
-from graphnav.solvers.covariance import joint_marginals
-from graphnav.trajectory import ImuBridge, Trajectory
+from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    import gtsam
-
 METHODS = ("batch", "isam2")
-
-#: Sizes of the variables by the letter of their key.
-_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1}
 
 ProgressHook = Callable[[str, float, float], None]
 
@@ -103,11 +98,11 @@ def smooth(
         if not isinstance(log, SensorLog):
             from graphnav.readers import read
 
-            log = read(log)
+            log = replace(read(log), truth=None)
     with stages.stage("frontend"):
         refuse_wrong_units(log, rest_spans(log))
         frontend = run_frontend(log, config)
-        problem = build.pose_problem(log, config, frontend)
+        problem = pose_problem(log, config, frontend)
     solver = _solve_batch if method == "batch" else _solve_isam2
     solved = solver(problem, stages)
     if not solved.result.converged:
@@ -117,7 +112,7 @@ def smooth(
             " raise batch.max_iterations, or check the log's sigmas"
         )
     with stages.stage("covariance") as tick:
-        blocks = _covariances(problem, solved.result, tick) if config.covariance else None
+        blocks = covariances(problem, solved.result, tick) if config.covariance else None
         # half a gigabyte for a shift, and of no further use
         solved.result = replace(solved.result, bayes_tree=None)
     return _report(problem, solved, blocks, method, stages)
@@ -134,10 +129,10 @@ def _solve_batch(problem: Problem, stages: _Stages) -> _Solved:
     """Solve; where the biases moved too far for first-order correction, preintegrate at the better ones and repeat."""
     config = problem.config.batch
     with stages.stage("assemble") as tick:
-        start, gyro_bias = build.start_state(problem)
+        start, gyro_bias = start_state(problem)
         data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
-        values = build.initial_values(problem, data, start)
-        graph = build.build_graph(problem, data)
+        values = initial_values(problem, data, start)
+        graph = build_graph(problem, data)
     history: list[batch.Iteration] = []
     for round_ in range(config.bias_move_rounds):
         with stages.stage("solve") as tick:
@@ -158,7 +153,7 @@ def _solve_batch(problem: Problem, stages: _Stages) -> _Solved:
         with stages.stage("assemble") as tick:
             data = _preintegrate(problem, gyro, accel, tick)
             values = result.values
-            graph = build.build_graph(problem, data)
+            graph = build_graph(problem, data)
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
     return _Solved(result)
 
@@ -167,13 +162,15 @@ def _solve_isam2(problem: Problem, stages: _Stages) -> _Solved:
     """iSAM2 through the keyframes, then batch iterations from its estimate: its thresholds leave centimetres behind."""
     config = problem.config
     with stages.stage("assemble") as tick:
-        start, gyro_bias = build.start_state(problem)
+        start, gyro_bias = start_state(problem)
         data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
-        factors = build.build_factors(problem, data)
+        factors = build_factors(problem, data)
     with stages.stage("solve") as tick:
         passed = incremental.solve(problem, data, factors, start, config.isam2, tick)
         del factors
-        graph = build.build_graph(problem, data)
+        graph = build_graph(problem, data)
+        for factor in passed.predicted:
+            graph.native.add(factor)
         result = batch.solve(
             graph,
             passed.values,
@@ -187,18 +184,10 @@ def _preintegrate(
     problem: Problem, gyro: Array, accel: Array, progress: Callable[[float, float], None] | None
 ) -> Preintegrated:
     """Preintegrate, and let go of the raw samples' memory: the solve needs it."""
-    data = build.preintegrate(problem, gyro, accel, progress)
-    samples = problem.imu.samples
-    release(samples.gyro_b, samples.accel_b)
+    data = preintegrate(problem, gyro, accel, progress)
+    samples, imu = problem.imu.samples, problem.log.imu
+    release(samples.edge_s, samples.gyro_b, samples.accel_b, imu.t_s if imu is not None else None)
     return data
-
-
-def estimated_biases(problem: Problem, values: gtsam.Values) -> tuple[Array, Array]:
-    """Gyro and accelerometer bias in every interval between keyframes, (N-1, 3) each."""
-    epochs = range(int(problem.bias_epoch[-1]) + 1)
-    biases = [values.atConstantBias(B(e)) for e in epochs]
-    gyro, accel = (np.array([getattr(b, kind)() for b in biases]) for kind in ("gyroscope", "accelerometer"))
-    return gyro[problem.bias_epoch], accel[problem.bias_epoch]
 
 
 def biases_moved(problem: Problem, data: Preintegrated, gyro: Array, accel: Array) -> bool:
@@ -217,93 +206,25 @@ def biases_moved(problem: Problem, data: Preintegrated, gyro: Array, accel: Arra
     return bool(max(in_minor, between) > 0.05 * problem.noise.accel_bias)
 
 
-def _covariances(
-    problem: Problem, result: batch.BatchResult, progress: Callable[[float, float], None] | None
-) -> dict[int, Array]:
-    groups: dict[int, tuple[int, ...]] = {X(i): (X(i), V(i)) for i in range(len(problem.keyframe_s))}
-    last_bias = B(int(problem.bias_epoch[-1]))
-    groups[last_bias] = (last_bias,)
-    if problem.has_calibration:
-        last = C(int(problem.calibration_epoch[-1]))
-        groups[last] = (last,)
-    for c in build.creep_cycles(problem):
-        groups[K(c)] = (K(c),)
-    assert result.bayes_tree is not None
-    return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
-
-
 def _report(problem: Problem, solved: _Solved, blocks: dict[int, Array] | None, method: str, stages: _Stages) -> Run:
-    import gtsam
-
     values, count = solved.result.values, len(problem.keyframe_s)
-    poses = gtsam.utilities.extractPose3(gtsam.utilities.allPose3s(values))
-    rotation, pos = poses[:, :9].reshape(-1, 3, 3), poses[:, 9:]
-    vel = np.array([values.atVector(V(i)) for i in range(count)])
-    cov = None
-    if blocks is not None:
-        cov = np.empty((count, 9, 9))
-        for i in range(count):
-            cov[i] = blocks[X(i)]
-        # GTSAM's position perturbation is in the body frame
-        cov[:, 3:6] = rotation @ cov[:, 3:6]
-        cov[:, :, 3:6] = cov[:, :, 3:6] @ np.swapaxes(rotation, 1, 2)
-    gyro, accel = estimated_biases(problem, values)
-    bridge = ImuBridge(problem.imu.samples, gyro, accel, problem.gravity_m_s2, problem.earth_rate_n)
-    trajectory = Trajectory(problem.keyframe_s, pos, to_quaternion(rotation), vel, cov, bridge)
+    trajectory = smoothed_trajectory(problem, values, blocks)
     causal = None
     if solved.causal is not None:
         c = solved.causal
         causal = Trajectory(problem.keyframe_s, c.pos_n, to_quaternion(c.rotation_nb), c.vel_n)
     history = [dict(vars(step)) for step in solved.result.iterations]
-    scale = 1024 if sys.platform != "darwin" else 1024**2
     diagnostics = Diagnostics(
         method=method,
         converged=solved.result.converged,
         iterations=len(history),
         keyframes=count,
         seconds=stages.total(),
-        peak_rss_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / scale,
-        warnings=_warnings(problem),
+        peak_rss_mb=peak_bytes() / 1e6,
+        warnings=warnings(problem),
         history=history,
     )
-    return Run(trajectory, _calibration(problem, values, blocks), diagnostics, problem.config, causal)
-
-
-def _calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array] | None) -> dict[str, Calibration]:
-    """The last epoch's biases and odometer calibration in datasheet units."""
-    found: dict[str, Calibration] = {}
-
-    def put(key: int, value: Array, names: list[tuple[str, float, str]]) -> None:
-        sigma = None if blocks is None else np.sqrt(np.diag(blocks[key]))
-        for row, (name, unit_size, unit) in enumerate(names):
-            found[name] = Calibration(
-                float(value[row] / unit_size), None if sigma is None else float(sigma[row] / unit_size), unit
-            )
-
-    degree = np.pi / 180
-    if problem.has_calibration:
-        key = C(int(problem.calibration_epoch[-1]))
-        names = [("odometer_scale", 1.0, "1")]
-        names += [(f"odometer_mounting_{axis}", degree, "deg") for axis in ("right", "forward", "up")]
-        put(key, values.atVector(key), names)
-    key = B(int(problem.bias_epoch[-1]))
-    mg, deg_h = 9.80665e-3, degree / 3600
-    names = [(f"accel_bias_{a}", mg, "mg") for a in "xyz"] + [(f"gyro_bias_{a}", deg_h, "deg/h") for a in "xyz"]
-    put(key, values.atConstantBias(key).vector(), names)
-    for c in build.creep_cycles(problem):
-        put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
-    return found
-
-
-def _warnings(problem: Problem) -> list[str]:
-    found = []
-    bridged = problem.imu.bridged_s
-    if len(bridged):
-        longest = float(np.diff(bridged, axis=1).max())
-        found.append(f"{len(bridged)} holes in the IMU record were bridged, the longest {longest:.3f} s")
-    if not len(problem.frontend.rest_s) and problem.log.odometer is not None:
-        found.append("no rest found: gyro and accelerometer biases are weakly separable; record a minute at rest first")
-    return found
+    return Run(trajectory, calibration(problem, values, blocks), diagnostics, problem.config, causal)
 
 
 class _CallableModule(ModuleType):

@@ -11,10 +11,14 @@ from engine_logs import SHORT, simulated
 from jacobians import random_rotation
 
 from graphnav import graph as build
+from graphnav import initial as initial_
+from graphnav import preintegration as preintegration_
+from graphnav import problem as problem_
 from graphnav.config import Config
 from graphnav.errors import SolveError
-from graphnav.graph import SmoothingGraph, V, X
+from graphnav.graph import SmoothingGraph
 from graphnav.keyframes import run_frontend
+from graphnav.problem import V, X
 from graphnav.solvers import batch
 
 UNIT = gtsam.noiseModel.Unit.Create
@@ -159,12 +163,12 @@ def test_an_error_that_is_no_number_is_refused() -> None:
 # on the engine's own problem --------------------------------------------------------------------------------
 
 
-def problem_at_start() -> tuple[build.Problem, SmoothingGraph, gtsam.Values]:
+def problem_at_start() -> tuple[problem_.Problem, SmoothingGraph, gtsam.Values]:
     log, config = simulated(SHORT), Config()
-    problem = build.pose_problem(log, config, run_frontend(log, config))
-    start, bias = build.start_state(problem)
-    data = build.preintegrate(problem, bias, np.zeros(3))
-    return problem, build.build_graph(problem, data), build.initial_values(problem, data, start)
+    problem = problem_.pose_problem(log, config, run_frontend(log, config))
+    start, bias = initial_.start_state(problem)
+    data = preintegration_.preintegrate(problem, bias, np.zeros(3))
+    return problem, build.build_graph(problem, data), initial_.initial_values(problem, data, start)
 
 
 def test_the_start_does_not_matter() -> None:
@@ -192,8 +196,8 @@ def test_the_gradient_vanishes_at_the_solution() -> None:
 def test_arrays_and_single_factors_are_one_problem() -> None:
     """What a batch solver linearizes is what an incremental one is fed."""
     problem, graph, values = problem_at_start()
-    start, bias = build.start_state(problem)
-    data = build.preintegrate(problem, bias, np.zeros(3))
+    start, bias = initial_.start_state(problem)
+    data = preintegration_.preintegrate(problem, bias, np.zeros(3))
     single = gtsam.NonlinearFactorGraph()
     for found in build.build_factors(problem, data):
         single.add(found.factor)

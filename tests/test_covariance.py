@@ -10,10 +10,13 @@ import pytest
 from engine_logs import MEMS, SHORT, simulated, smoothed
 
 from graphnav import graph as build
+from graphnav import initial as initial_
+from graphnav import preintegration as preintegration_
+from graphnav import problem as problem_
 from graphnav.config import Config
 from graphnav.errors import SolveError
-from graphnav.graph import B, C, V, X
 from graphnav.keyframes import run_frontend
+from graphnav.problem import B, C, V, X
 from graphnav.simulation.scenarios import FULL_SHIFT
 from graphnav.smooth import smooth
 from graphnav.solvers import batch
@@ -147,11 +150,11 @@ def test_a_hard_constraint_is_refused() -> None:
 def test_covariances_of_a_smoothed_log_are_the_dense_inverse() -> None:
     """Every 9 x 9 of a cut of 8 m with its biases, in the trajectory's order and frames."""
     log, config = simulated(SHORT), Config()
-    problem = build.pose_problem(log, config, run_frontend(log, config))
-    start, bias = build.start_state(problem)
-    data = build.preintegrate(problem, bias, np.zeros(3))
+    problem = problem_.pose_problem(log, config, run_frontend(log, config))
+    start, bias = initial_.start_state(problem)
+    data = preintegration_.preintegrate(problem, bias, np.zeros(3))
     graph = build.build_graph(problem, data)
-    result = batch.solve(graph, build.initial_values(problem, data, start))
+    result = batch.solve(graph, initial_.initial_values(problem, data, start))
     linear = graph.linearize(result.values)
     order = [*result.order]
     covariance, rows = dense(linear, order)

@@ -14,12 +14,17 @@ from scipy.spatial.transform import Rotation
 from factors import so3
 from factors.earth import normal_gravity
 from graphnav import graph as build
+from graphnav import initial as initial_
+from graphnav import preintegration as preintegration_
+from graphnav import problem as problem_
 from graphnav._metrics import truth_at
 from graphnav.config import Config
 from graphnav.errors import LogError
-from graphnav.graph import B, C, FactorAt, K, Preintegrated, Problem, V, X
+from graphnav.graph import FactorAt
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
+from graphnav.preintegration import Preintegrated
+from graphnav.problem import B, C, K, Problem, V, X
 
 
 def config(**sections) -> Config:
@@ -28,11 +33,11 @@ def config(**sections) -> Config:
 
 def posed(log: SensorLog, chosen: Config | None = None) -> Problem:
     chosen = chosen or Config()
-    return build.pose_problem(log, chosen, run_frontend(log, chosen))
+    return problem_.pose_problem(log, chosen, run_frontend(log, chosen))
 
 
 def prepared(problem: Problem) -> Preintegrated:
-    return build.preintegrate(problem, build.start_state(problem)[1], np.zeros(3))
+    return preintegration_.preintegrate(problem, initial_.start_state(problem)[1], np.zeros(3))
 
 
 # keys and epochs --------------------------------------------------------------------------------------------
@@ -62,7 +67,7 @@ def test_missing_parts_are_named() -> None:
         posed(dataclasses.replace(log, initial=None))
     frontend = run_frontend(log, Config())
     with pytest.raises(LogError, match="no imu table"):
-        build.pose_problem(dataclasses.replace(log, imu=None), Config(), frontend)
+        problem_.pose_problem(dataclasses.replace(log, imu=None), Config(), frontend)
 
 
 def test_a_hole_in_the_imu_record_that_is_too_long_is_named() -> None:
@@ -98,7 +103,7 @@ def test_blocks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seven intervals at a time or all at once: the same factors, and every odometer sample once."""
     problem = posed(simulated(TWO_CUTS))
     whole = prepared(problem)
-    monkeypatch.setattr(build, "_BLOCK", 7)
+    monkeypatch.setattr(preintegration_, "_BLOCK", 7)
     parts = prepared(problem)
     assert problem.log.odometer is not None
     for data in (whole, parts):
@@ -149,7 +154,7 @@ def test_every_hole_in_an_interval_counts() -> None:
 def test_the_rest_at_the_start_tells_tilt_and_gyro_bias(seed: int) -> None:
     """Tilt to the accelerometer's bias over gravity, 3 mrad 1 sigma; gyro bias to its noise over 60 s, 4.6 deg/h."""
     problem = posed(simulated(MEMS, seed))
-    state, gyro_bias = build.start_state(problem)
+    state, gyro_bias = initial_.start_state(problem)
     truth, errors = problem.log.truth, drawn(MEMS, seed)
     assert truth is not None
     turn = so3.log(Rotation.from_quat(truth.quat_nb[0], scalar_first=True).as_matrix().T @ state.rotation_nb[0])
@@ -167,7 +172,7 @@ def test_the_rest_at_the_start_tells_tilt_and_gyro_bias(seed: int) -> None:
 
 def test_without_rest_the_start_is_what_is_declared() -> None:
     problem = posed(simulated(SHORT), config(rest={"use": False}))
-    state, gyro_bias = build.start_state(problem)
+    state, gyro_bias = initial_.start_state(problem)
     declared = problem.initial
     assert np.allclose(state.rotation_nb[0], so3.from_quaternion(declared.quat_nb_wxyz))
     assert np.array_equal(gyro_bias, np.zeros(3))
@@ -178,7 +183,7 @@ def test_dead_reckoning_is_near_the_truth(seed: int) -> None:
     """Uncalibrated odometer and mounting: some percent of the way, not some multiple."""
     problem = posed(simulated(MEMS, seed))
     data = prepared(problem)
-    values = build.initial_values(problem, data, build.start_state(problem)[0])
+    values = initial_.initial_values(problem, data, initial_.start_state(problem)[0])
     assert problem.log.truth is not None
     _, pos, _ = truth_at(problem.log.truth, problem.keyframe_s)
     found = np.array([values.atPose3(X(i)).translation() for i in range(len(pos))])
@@ -196,7 +201,7 @@ def at_truth(seed: int) -> tuple[Problem, list[FactorAt], gtsam.Values, list[Fac
     problem = posed(log, config(odometer={"calibration_epoch_s": 1e6}, imu={"bias_epoch_s": 1e6}))
     errors, truth = drawn(MEMS, seed), log.truth
     # at the true biases, where the factors' first-order correction plays no part
-    data = build.preintegrate(problem, errors.gyro_bias_rad_s, errors.accel_bias_m_s2)
+    data = preintegration_.preintegrate(problem, errors.gyro_bias_rad_s, errors.accel_bias_m_s2)
     assert truth is not None
     assert truth.vel_n_m_s is not None
     known, pos, quat = truth_at(truth, problem.keyframe_s)
@@ -334,13 +339,13 @@ def test_creep_is_one_unknown_per_cycle_with_a_prior() -> None:
     assert log.face is not None
     log = dataclasses.replace(log, face=log.face.replace(creep_sigma_m=0.3, creep_m=0.1))
     problem = posed(log)
-    assert build.creep_cycles(problem) == [1, 2, 3]
+    assert problem_.creep_cycles(problem) == [1, 2, 3]
     found = kinds(build.build_factors(problem, prepared(problem)))
     assert found["k"] == 3
     assert found["xxck"] == 69
-    values = build.initial_values(problem, prepared(problem), build.start_state(problem)[0])
+    values = initial_.initial_values(problem, prepared(problem), initial_.start_state(problem)[0])
     assert [values.atVector(K(c))[0] for c in (1, 2, 3)] == [0.1, 0.1, 0.1]
-    assert build.creep_cycles(posed(log, config(closed_path={"form": "absolute"}))) == []
+    assert problem_.creep_cycles(posed(log, config(closed_path={"form": "absolute"}))) == []
 
 
 def test_forms_of_closed_path_and_odometer() -> None:

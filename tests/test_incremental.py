@@ -11,13 +11,18 @@ from engine_logs import MEMS, SHORT, TWO_CUTS, simulated, smoothed, until
 
 from factors import so3
 from graphnav import graph as build
+from graphnav import initial as initial_
+from graphnav import preintegration as preintegration_
+from graphnav import problem as problem_
 from graphnav._metrics import truth_at
 from graphnav.config import Config
 from graphnav.errors import SolveError
-from graphnav.graph import FactorAt, Preintegrated, Problem, V, X
+from graphnav.graph import FactorAt
 from graphnav.initial import States
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
+from graphnav.preintegration import Preintegrated
+from graphnav.problem import Problem, V, X
 from graphnav.smooth import smooth
 from graphnav.solvers import incremental
 from graphnav.trajectory import Trajectory
@@ -29,9 +34,9 @@ def config(**sections) -> Config:
 
 @cache
 def fed(log: SensorLog, chosen: Config) -> tuple[Problem, Preintegrated, list[FactorAt], States]:
-    problem = build.pose_problem(log, chosen, run_frontend(log, chosen))
-    start, bias = build.start_state(problem)
-    data = build.preintegrate(problem, bias, np.zeros(3))
+    problem = problem_.pose_problem(log, chosen, run_frontend(log, chosen))
+    start, bias = initial_.start_state(problem)
+    data = preintegration_.preintegrate(problem, bias, np.zeros(3))
     return problem, data, build.build_factors(problem, data), start
 
 
@@ -140,7 +145,7 @@ def test_the_last_causal_estimate_is_the_smoothed_one() -> None:
 def test_causal_estimates_do_not_know_the_future() -> None:
     """The log cut off at 500 s gives the same estimates until then.
 
-    To some centimetres: the front end sees the whole record, which moves the keyframes of an unfinished cut and the length
+    To some centimetres: the front end sees the whole record, which moves keyframes of an unfinished cut and the length
     of the minor intervals.
     """
     log = simulated(MEMS, 0)

@@ -18,7 +18,7 @@ HEAVY = {"gtsam", "scipy", "pyarrow", "matplotlib", "pydantic", "rich"}
 
 #: The floors, lowest first; a name is a module or a package with all that is in it.
 FLOORS = (
-    {"graphnav.errors", "graphnav._schema", "graphnav._spill", "graphnav.log", "graphnav.trajectory", "factors"},
+    {"graphnav.errors", "graphnav._schema", "graphnav._memory", "graphnav.log", "graphnav.trajectory", "factors"},
     {
         "graphnav.readers",
         "graphnav.frontends",
@@ -28,9 +28,9 @@ FLOORS = (
         "graphnav._metrics",
     },
     {"graphnav.keyframes", "graphnav.simulation", "graphnav.report", "graphnav.run"},
-    {"graphnav.graph", "graphnav.initial"},
+    {"graphnav.graph", "graphnav.initial", "graphnav.problem", "graphnav.preintegration"},
     {"graphnav.solvers", "graphnav.observability"},
-    {"graphnav.smooth"},
+    {"graphnav.smooth", "graphnav.outcome"},
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )
 

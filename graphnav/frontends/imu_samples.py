@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.increments import Samples
+from graphnav._memory import allocate
 from graphnav._schema import Array
 from graphnav.log import Imu
 
@@ -60,7 +61,9 @@ def imu_samples(imu: Imu, max_gap_s: float) -> ImuSamples:
     spreads = [float(np.sqrt(np.mean(np.var(x[::stride], axis=0)))) for x in (imu.gyro_b_rad_s, imu.accel_b_m_s2)]
     start = np.array([imu.start_s])
     if not len(holes):
-        samples = Samples(np.concatenate([start, t]), imu.gyro_b_rad_s, imu.accel_b_m_s2)
+        edges = allocate((len(t) + 1,), float)
+        edges[0], edges[1:] = start[0], t
+        samples = Samples(edges, imu.gyro_b_rad_s, imu.accel_b_m_s2)
         return ImuSamples(samples, np.zeros((0, 2)), *spreads)
     edges = np.insert(np.concatenate([start, t]), holes + 2, t[holes + 1] - dt)
     filled = [

@@ -14,8 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from graphnav._memory import allocate
 from graphnav._schema import Record
-from graphnav._spill import allocate
 from graphnav.errors import LogError
 from graphnav.log import TABLES
 from graphnav.readers.sections import hint, shown

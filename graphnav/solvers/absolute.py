@@ -12,7 +12,8 @@ import numpy as np
 from factors import closed_path, so3
 from factors.so3 import Array
 from graphnav.frontends.cutting_cycles import ClosedPathPoint
-from graphnav.graph import C, Problem, SmoothingGraph, X
+from graphnav.graph import SmoothingGraph
+from graphnav.problem import C, Problem, X
 from graphnav.solvers import batch
 
 if TYPE_CHECKING:

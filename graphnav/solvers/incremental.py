@@ -16,8 +16,10 @@ from factors.inertial import predict
 from factors.so3 import Array
 from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
-from graphnav.graph import B, C, FactorAt, Preintegrated, Problem, V, X, creep_cycles
+from graphnav.graph import FactorAt
 from graphnav.initial import States
+from graphnav.preintegration import Preintegrated
+from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.solvers.absolute import predicted_factor
 
 if TYPE_CHECKING:
@@ -36,12 +38,14 @@ class IncrementalResult:
     ----------
     causal : (N) states, each estimated from the measurements up to its own keyframe.
     values : smoothed estimates after the last keyframe, exact to the relinearization thresholds.
+    predicted : the papers' closed-path priors that were made on the way; none with relative closed-path factors.
     relinearized, reeliminated : variables treated over the whole run.
     update_seconds : (U,) time of every update with its reading.
     """
 
     causal: States
     values: gtsam.Values
+    predicted: list[gtsam.NonlinearFactor]
     relinearized: int
     reeliminated: int
     update_seconds: Array
@@ -86,6 +90,7 @@ class _Session:
         self.rotation, self.pos, self.vel = start.rotation_nb[0], start.pos_n[0], start.vel_n[0]
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self.creeping = set(creep_cycles(problem))
+        self.predicted: list[gtsam.NonlinearFactor] = []
         self.relinearized = self.reeliminated = 0
 
     def step(self, key: int) -> Array:
@@ -153,7 +158,9 @@ class _Session:
         """The papers' closed-path prior, at the position predicted from the current estimate of the first pass."""
         i = self.problem.frontend.index(point.first_s)
         calibration = self.calibration(int(self.problem.calibration_epoch[max(i - 1, 0)]))
-        self.pending.add(predicted_factor(self.problem, point, self.pose(i), calibration))
+        factor = predicted_factor(self.problem, point, self.pose(i), calibration)
+        self.predicted.append(factor)
+        self.pending.add(factor)
 
     def update(self, i: int, relinearize: bool) -> None:
         """Solve with what is pending, and take the estimate of keyframe i."""
@@ -221,4 +228,6 @@ def solve(
         if progress is not None and (i % 50 == 0 or i == count - 1):
             progress(i + 1, count)
     final = session.isam.calculateEstimate()
-    return IncrementalResult(causal, final, session.relinearized, session.reeliminated, np.array(seconds))
+    return IncrementalResult(
+        causal, final, session.predicted, session.relinearized, session.reeliminated, np.array(seconds)
+    )

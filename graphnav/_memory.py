@@ -1,5 +1,5 @@
-"""Large arrays in unlinked temporary files, so that a shift's raw samples need not stay in memory while the graph is
-solved.
+"""Memory: its peak, and large arrays in unlinked temporary files, so that a shift's raw samples need not stay in
+memory while the graph is solved.
 
 A solve of 7 h takes 0.5 GB for its Bayes tree alone; the 2.5 million IMU rows behind it are read once before and
 perhaps once after. In a mapped file the operating system may drop their pages, and `release` asks it to.
@@ -8,6 +8,7 @@ perhaps once after. In a mapped file the operating system may drop their pages, 
 from __future__ import annotations
 
 import mmap
+import sys
 import tempfile
 from typing import Any
 
@@ -30,6 +31,24 @@ def allocate(shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
     except OSError:
         return np.empty(shape, dtype)
     return np.frombuffer(mapped, dtype).reshape(shape)
+
+
+def peak_bytes() -> int:
+    """Peak resident memory of this process.
+
+    Linux's ``ru_maxrss`` may count what a large parent held at the fork; the high-water mark of the process's own
+    memory map does not.
+    """
+    try:
+        with open("/proc/self/status", encoding="ascii") as status:
+            for line in status:
+                if line.startswith("VmHWM:"):
+                    return int(line.split()[1]) * 1024
+    except OSError:
+        pass
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 def release(*arrays: npt.NDArray[Any] | None) -> None:

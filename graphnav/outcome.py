@@ -1,0 +1,110 @@
+"""What a solution says: trajectory with covariances, calibration with sigmas, warnings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.so3 import Array, to_quaternion
+from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
+from graphnav.run import Calibration
+from graphnav.solvers.batch import BatchResult
+from graphnav.solvers.covariance import joint_marginals
+from graphnav.trajectory import ImuBridge, Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import gtsam
+
+#: Sizes of the variables by the letter of their key.
+_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1}
+
+
+def covariances(
+    problem: Problem, result: BatchResult, progress: Callable[[float, float], None] | None
+) -> dict[int, Array]:
+    """Joint covariance of pose and velocity at every keyframe, and of the last bias, calibration and creep."""
+    groups: dict[int, tuple[int, ...]] = {X(i): (X(i), V(i)) for i in range(len(problem.keyframe_s))}
+    last_bias = B(int(problem.bias_epoch[-1]))
+    groups[last_bias] = (last_bias,)
+    if problem.has_calibration:
+        last = C(int(problem.calibration_epoch[-1]))
+        groups[last] = (last,)
+    for c in creep_cycles(problem):
+        groups[K(c)] = (K(c),)
+    assert result.bayes_tree is not None
+    return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
+
+
+def smoothed_trajectory(problem: Problem, values: gtsam.Values, blocks: dict[int, Array] | None) -> Trajectory:
+    """States at all keyframes with their covariances, and the IMU to carry them in between.
+
+    Parameters
+    ----------
+    values : estimates; blocks : from `covariances`, or None.
+    """
+    count = len(problem.keyframe_s)
+    import gtsam
+
+    poses = gtsam.utilities.extractPose3(gtsam.utilities.allPose3s(values))
+    rotation, pos = poses[:, :9].reshape(-1, 3, 3), poses[:, 9:]
+    vel = np.array([values.atVector(V(i)) for i in range(count)])
+    cov = None
+    if blocks is not None:
+        cov = np.empty((count, 9, 9))
+        for i in range(count):
+            cov[i] = blocks[X(i)]
+        # GTSAM's position perturbation is in the body frame
+        cov[:, 3:6] = rotation @ cov[:, 3:6]
+        cov[:, :, 3:6] = cov[:, :, 3:6] @ np.swapaxes(rotation, 1, 2)
+    gyro, accel = estimated_biases(problem, values)
+    bridge = ImuBridge(problem.imu.samples, gyro, accel, problem.gravity_m_s2, problem.earth_rate_n)
+    return Trajectory(problem.keyframe_s, pos, to_quaternion(rotation), vel, cov, bridge)
+
+
+def estimated_biases(problem: Problem, values: gtsam.Values) -> tuple[Array, Array]:
+    """Gyro and accelerometer bias in every interval between keyframes, (N-1, 3) each."""
+    epochs = range(int(problem.bias_epoch[-1]) + 1)
+    biases = [values.atConstantBias(B(e)) for e in epochs]
+    gyro, accel = (np.array([getattr(b, kind)() for b in biases]) for kind in ("gyroscope", "accelerometer"))
+    return gyro[problem.bias_epoch], accel[problem.bias_epoch]
+
+
+def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array] | None) -> dict[str, Calibration]:
+    """The last epoch's biases and odometer calibration in datasheet units."""
+    found: dict[str, Calibration] = {}
+
+    def put(key: int, value: Array, names: list[tuple[str, float, str]]) -> None:
+        sigma = None if blocks is None else np.sqrt(np.diag(blocks[key]))
+        for row, (name, unit_size, unit) in enumerate(names):
+            found[name] = Calibration(
+                float(value[row] / unit_size), None if sigma is None else float(sigma[row] / unit_size), unit
+            )
+
+    degree = np.pi / 180
+    if problem.has_calibration:
+        key = C(int(problem.calibration_epoch[-1]))
+        names = [("odometer_scale", 1.0, "1")]
+        names += [(f"odometer_mounting_{axis}", degree, "deg") for axis in ("right", "forward", "up")]
+        put(key, values.atVector(key), names)
+    key = B(int(problem.bias_epoch[-1]))
+    mg, deg_h = 9.80665e-3, degree / 3600
+    names = [(f"accel_bias_{a}", mg, "mg") for a in "xyz"] + [(f"gyro_bias_{a}", deg_h, "deg/h") for a in "xyz"]
+    put(key, values.atConstantBias(key).vector(), names)
+    for c in creep_cycles(problem):
+        put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
+    return found
+
+
+def warnings(problem: Problem) -> list[str]:
+    """What the user should know of the record, one line each."""
+    found = []
+    bridged = problem.imu.bridged_s
+    if len(bridged):
+        longest = float(np.diff(bridged, axis=1).max())
+        found.append(f"{len(bridged)} holes in the IMU record were bridged, the longest {longest:.3f} s")
+    if not len(problem.frontend.rest_s) and problem.log.odometer is not None:
+        found.append("no rest found: gyro and accelerometer biases are weakly separable; record a minute at rest first")
+    return found
