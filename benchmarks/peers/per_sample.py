@@ -18,7 +18,7 @@ from benchmarks.peers.native import add_biases
 def odometer_factor(
     pose_key: int, velocity_key: int, calibration_key: int, speed_m_s: float, noise: gtsam.noiseModel.Base
 ) -> gtsam.CustomFactor:
-    """Forward speed and motion constraint: ``e = [v_x, (1 + scale) v_y - speed, v_z]``, v in the machine frame."""
+    """Forward speed and motion constraint: ``e = (1 + scale) v_m - [0, speed, 0]``, as graphnav has it."""
 
     def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         calibration = values.atVector(calibration_key)
@@ -26,13 +26,13 @@ def odometer_factor(
         rotation = values.atPose3(pose_key).rotation().matrix()
         in_b = rotation.T @ values.atVector(velocity_key)
         in_m = mounting @ in_b
-        gain = np.array([1.0, 1.0 + calibration[0], 1.0])
+        gain = 1.0 + calibration[0]
         if jacobians is not None:
-            by_b = gain[:, None] * mounting
+            by_b = gain * mounting
             jacobians[0] = np.hstack([by_b @ _cross(in_b), np.zeros((3, 3))])
             jacobians[1] = by_b @ rotation.T
             by_angle = -by_b @ _cross(in_b) @ gtsam.Rot3.ExpmapDerivative(calibration[1:])
-            jacobians[2] = np.column_stack([[0.0, in_m[1], 0.0], by_angle])
+            jacobians[2] = np.column_stack([in_m, by_angle])
         return gain * in_m - [0.0, speed_m_s, 0.0]
 
     return gtsam.CustomFactor(noise, [pose_key, velocity_key, calibration_key], error)
