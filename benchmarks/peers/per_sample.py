@@ -33,7 +33,7 @@ def odometer_factor(
             jacobians[1] = by_b @ rotation.T
             by_angle = -by_b @ _cross(in_b) @ gtsam.Rot3.ExpmapDerivative(calibration[1:])
             jacobians[2] = np.column_stack([in_m, by_angle])
-        return gain * in_m - [0.0, speed_m_s, 0.0]
+        return np.asarray(gain * in_m - [0.0, speed_m_s, 0.0])
 
     return gtsam.CustomFactor(noise, [pose_key, velocity_key, calibration_key], error)
 

@@ -169,6 +169,8 @@ def _damped_step(
 ) -> tuple[gtsam.Values, gtsam.GaussianFactorGraph, float, float]:
     """Raise the damping until a step lowers the error: the new values, their linearization and error, the damping."""
     linear = graph.linearize(values)
+    # a step that fails for want of information is no matter of damping
+    _check_determined(eliminate(linear, ordering), [ordering.at(k) for k in range(ordering.size())])
     damping = _FIRST_DAMPING
     while damping <= _MAX_DAMPING:
         step = eliminate(_damped(linear, values, damping), ordering).optimize()
