@@ -114,26 +114,41 @@ def test_progress_is_told() -> None:
     assert seen == [(k + 1, 25) for k in range(len(result.iterations))]
 
 
-# damping ----------------------------------------------------------------------------------------------------
+# bad starts -------------------------------------------------------------------------------------------------
+
+OVERSHOOTING = [16.0, 4.3, -4.1]
 
 
 @pytest.mark.parametrize(
-    "start", [[0.05, 0.02, 0.01], [16.0, 4.3, -4.1], [20.6, 0.6, 6.8], [30.0, -20.0, 0.1], [-5.0, -6.0, -7.0]]
+    "start", [[0.05, 0.02, 0.01], OVERSHOOTING, [20.6, 0.6, 6.8], [30.0, -20.0, 0.1], [-5.0, -6.0, -7.0]]
 )
-def test_a_bad_start_is_damped_to_the_minimum(start: list[float]) -> None:
+@pytest.mark.parametrize("damped", [False, True])
+def test_a_bad_start_reaches_the_minimum(start: list[float], damped: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With shortened steps, and with damping alone."""
+    if damped:
+        monkeypatch.setattr(batch, "_shorter_step", lambda *_: None)
     graph, values, true = ranges(start)
     result = batch.solve(graph, values, max_iterations=200)
     assert result.converged
     assert result.values.atVector(V(0)) == pytest.approx(true, abs=1e-3)
 
 
-def test_damping_is_used_where_a_full_step_overshoots() -> None:
-    graph, values, _ = ranges([16.0, 4.3, -4.1])
+def test_a_step_that_overshoots_is_shortened() -> None:
+    graph, values, _ = ranges(OVERSHOOTING)
     full = values.retract(graph.linearize(values).optimize())
     assert graph.error(full) > graph.error(values)  # or this test would show nothing
-    dampings = [i.damping for i in batch.solve(graph, values, max_iterations=200).iterations]
-    assert dampings[0] > 0
-    assert dampings[-1] == 0
+    found = batch.solve(graph, values, max_iterations=200).iterations
+    assert [i.damping for i in found] == [0.0] * len(found)
+    assert found[1].error < 0.9 * found[0].error
+
+
+def test_damping_is_used_where_no_part_of_the_step_helps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "_shorter_step", lambda *_: None)
+    graph, values, _ = ranges(OVERSHOOTING)
+    found = batch.solve(graph, values, max_iterations=200).iterations
+    assert found[0].damping > 0
+    assert found[-1].damping == 0
+    assert found[1].error < found[0].error
 
 
 # singular ---------------------------------------------------------------------------------------------------

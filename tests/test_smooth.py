@@ -22,7 +22,7 @@ from graphnav.errors import ConfigError, LogError, SolveError
 from graphnav.evaluation import Evaluation, evaluate
 from graphnav.log import Position, Push, SensorLog
 from graphnav.run import Run
-from graphnav.simulation.scenarios import shearer_mems
+from graphnav.simulation.scenarios import FULL_SHIFT, shearer_mems
 from graphnav.smooth import smooth
 
 SEEDS = range(3)
@@ -420,6 +420,27 @@ def test_a_wrong_heading_within_its_sigma_is_put_right() -> None:
     turned = np.array([w * a - z * d, w * b - z * c, w * c + z * b, w * d + z * a])
     off = changed(log, "initial", quat_nb_wxyz=turned, att_sigma_deg=[0.3, 0.3, 30.0])
     assert sep(off) < 0.15
+
+
+def test_no_idea_of_the_heading_but_positions() -> None:
+    """163 deg off and declared as unknown: dead reckoning starts in a wrong direction, the fixes turn it."""
+    log = simulated(MEMS)
+    lost = changed(log, "initial", quat_nb_wxyz=[0.0, 0.0, 0.0, 1.0], att_sigma_deg=[1.0, 1.0, 180.0])
+    found = evaluate(smooth(dataclasses.replace(lost, position=positions(log, 10.0, 0.1))).trajectory, log)
+    assert found.rms_m.max() < 0.1
+    assert found.nees_position < 2.0
+
+
+def test_half_an_hour_of_an_imu_alone() -> None:
+    """Hundreds of metres of drift that the covariance knows of, and no trouble in finding the minimum."""
+    spec = dataclasses.replace(FULL_SHIFT, duration_s=1800.0)
+    log = dataclasses.replace(simulated(spec, 1), odometer=None, face=None, surveyed=(), events=None)
+    run = smooth(log)
+    found = evaluate(run.trajectory, log)
+    assert run.diagnostics.iterations < 15
+    assert found.nees_position < 5.0
+    assert run.trajectory.cov is not None
+    assert np.sqrt(np.trace(run.trajectory.cov[-1, 3:6, 3:6])) > 20.0
 
 
 # errors -----------------------------------------------------------------------------------------------------
