@@ -98,13 +98,24 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
     return found
 
 
-def warnings(problem: Problem) -> list[str]:
-    """What the user should know of the record, one line each."""
+def warnings(problem: Problem, biases_moved: bool) -> list[str]:
+    """What the user should know of the record and the solution, one line each."""
     found = []
+    log, frontend = problem.log, problem.frontend
     bridged = problem.imu.bridged_s
     if len(bridged):
         longest = float(np.diff(bridged, axis=1).max())
         found.append(f"{len(bridged)} holes in the IMU record were bridged, the longest {longest:.3f} s")
-    if not len(problem.frontend.rest_s) and problem.log.odometer is not None:
+    if not len(frontend.rest_s) and log.odometer is not None:
         found.append("no rest found: gyro and accelerometer biases are weakly separable; record a minute at rest first")
+    given = (len(log.position) if log.position is not None else 0) + len(log.surveyed)
+    unused = given - len(frontend.fixes)
+    if unused and problem.config.position.use:
+        found.append(
+            f"{unused} of {given} positions and surveyed points are outside the IMU record or were never reached"
+        )
+    if log.face is not None and log.odometer is not None and not frontend.cycles:
+        found.append("[face] is declared but no cut was found: no closed path; check events, or face.length_m")
+    if biases_moved:
+        found.append("the biases still moved after the last preintegration: raise batch.bias_move_rounds")
     return found
