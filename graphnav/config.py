@@ -84,6 +84,7 @@ class Isam2Config(_Section):
     """Incremental smoothing."""
 
     keyframes_per_update: int = Field(1, ge=1)
+    closed_path_block: int = Field(3, ge=1, description="closed-path points fed at a time, with the last of them")
     relinearize_skip: int = Field(100, ge=1, description="keyframes between checks for relinearization, at least")
     relinearize_growth: float = Field(0.25, ge=0, description="and as a share of the keyframes so far")
     wildfire_threshold: float = Field(1e-9, ge=0)

@@ -60,6 +60,28 @@ def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
     return sorted(found, key=lambda f: f.keyframe)
 
 
+def fed_in_blocks(problem: Problem, found: list[FactorAt], size: int) -> list[FactorAt]:
+    """Feed the closed-path points of a cycle `size` at a time, each block with its last point.
+
+    Every closed-path update re-eliminates the stretch of all earlier cycles since the last one; a few points at once
+    cost little more than one.
+    """
+    feed: dict[int, int] = {}
+    for cycle in {p.cycle for p in problem.frontend.closed_path}:
+        seconds = [problem.frontend.index(p.second_s) for p in problem.frontend.closed_path if p.cycle == cycle]
+        for k in range(0, len(seconds), size):
+            block = seconds[k : k + size]
+            feed.update(dict.fromkeys(block, max(block)))
+    fed = [FactorAt(feed[f.keyframe], f.factor) if _closes(f) else f for f in found]
+    return sorted(fed, key=lambda f: f.keyframe)
+
+
+def _closes(found: FactorAt) -> bool:
+    """Whether a factor ties two poses that are not neighbours."""
+    poses = [key for key in found.factor.keys() if key >> 56 == ord("x")]
+    return len(poses) == 2 and poses[1] - poses[0] > 1
+
+
 def _common_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
     """Everything but the odometer's displacements."""
     found = _priors(problem)

@@ -209,3 +209,15 @@ def test_a_log_without_closed_path_or_without_a_face(face: bool) -> None:
     chosen = config(closed_path={"form": "off"})
     runs = [smooth(log, chosen, method=m) for m in ("batch", "isam2")]
     assert rms_apart(runs[0].trajectory, runs[1].trajectory) < 5e-3
+
+
+def test_closed_path_points_are_fed_in_blocks_and_none_is_lost() -> None:
+    """Each block waits for its last point, never longer, and the order stays that of keyframes."""
+    problem, _, factors, _ = fed(simulated(TWO_CUTS), config())
+    found = {size: build.fed_in_blocks(problem, factors, size) for size in (1, 4)}
+    loops = {size: [f.keyframe for f in fed_ if build._closes(f)] for size, fed_ in found.items()}
+    assert len(found[1]) == len(found[4]) == len(factors)
+    assert len(loops[1]) == len(set(loops[1])) == 11
+    assert loops[4] == [loops[1][3]] * 4 + [loops[1][7]] * 4 + [loops[1][10]] * 3
+    for fed_ in found.values():
+        assert [f.keyframe for f in fed_] == sorted(f.keyframe for f in fed_)

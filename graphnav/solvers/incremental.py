@@ -16,7 +16,7 @@ from factors.inertial import predict
 from factors.so3 import Array
 from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
-from graphnav.graph import FactorAt
+from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
@@ -203,6 +203,7 @@ def solve(
     ------
     SolveError : a singular system.
     """
+    factors = fed_in_blocks(problem, factors, config.closed_path_block)
     session = _Session(problem, data, start, config)
     count = len(problem.keyframe_s)
     causal = States(np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3)))
