@@ -61,14 +61,14 @@ def displacement_residual(
 ) -> tuple[Array, Array, Array, Array]:
     """Odometer preintegrated over an interval: displacement of the odometer between two keyframes.
 
-    Zheng (2021), equations 1-4, integrated over the interval with the gyro's attitude: ``e = (1 + scale) m - [0, D,
-    0]`` with ``m = Exp(alpha) M^T (R_i^T (p_j + R_j l - p_i) - l)`` the displacement in the mean machine frame of the
-    interval and D the measured distance.
+    Zheng (2021), equations 1-4, integrated over the interval with the gyro's attitude:
+    ``e = (1 + scale) m - [0, D, 0]`` with ``m = Exp(alpha) M^T (R_i^T (p_j + R_j l - p_i) - l)`` the displacement in the
+    mean machine frame of the interval and D the measured distance.
 
     Parameters
     ----------
-    rotation_i, rotation_j : (..., 3, 3) R_nb; pos_i, pos_j : (..., 3) in n, m; calibration : (..., 4) [scale, alpha
-        rad].
+    rotation_i, rotation_j : (..., 3, 3) R_nb; pos_i, pos_j : (..., 3) in n, m.
+    calibration : (..., 4) [scale, alpha rad].
     distance_m : (...,) D and mean_b : (..., 3, 3) M, from `preintegrate_speed`; lever_arm_b : (3,) odometer in b, m.
 
     Returns
@@ -88,8 +88,7 @@ def displacement_residual(
 
 
 def _scaled_error(travelled_b: Array, calibration: Array, measured: Array) -> tuple[Array, Array, Array]:
-    """``e = (1 + scale) Exp(alpha) x - [0, measured, 0]`` with its Jacobians by x (..., 3, 3) and calibration (...,
-    3, 4).
+    """``e = (1 + scale) Exp(alpha) x - [0, measured, 0]``, Jacobians by x (..., 3, 3) and calibration (..., 3, 4).
 
     The gain multiplies all three rows, as in Zheng (2021), equation 3. Leaving it off the lateral rows, or dividing the
     measurement by it, biases the scale factor by several sigma: slip that shrinks with the estimated path, and noise

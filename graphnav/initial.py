@@ -50,6 +50,8 @@ def levelled(
     if not at_start or tilt_noise_rad > tilt_sigma_rad:
         return rotation_nb
     inside = (samples.edge_s[:-1] >= rest_s[0, 0]) & (samples.edge_s[1:] <= rest_s[0, 1])
+    if not inside.any():
+        return rotation_nb
     up_b = samples.accel_b[inside].mean(axis=0)
     up_b = up_b / np.linalg.norm(up_b)
     expected = rotation_nb.T @ np.array([0.0, 0.0, 1.0])

@@ -45,11 +45,15 @@ class Frontend:
         return right - 1 if left_nearer else right
 
 
-def run_frontend(log: SensorLog, config: Config) -> Frontend:
+def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) -> Frontend:
     """Find cycles, closed-path points, rest and fixes, and place the keyframes.
 
     Policy: a keyframe at the start and end of the IMU record, at the exact time of every measurement that needs one
     (closed-path points, fixes, surveyed points, events), every `interval_s` (and `distance_m`) in between.
+
+    Parameters
+    ----------
+    rest_s : (K, 2) spans at rest where they are known already; None finds them.
     """
     imu = log.imu
     if imu is None:
@@ -64,7 +68,8 @@ def run_frontend(log: SensorLog, config: Config) -> Frontend:
     if config.keyframes.events:
         wanted += [t for c in cycles for t in (c.start_s, c.end_s) if t is not None]
     times = place_keyframes(start, end, np.array(wanted, float), config, log)
-    rest = rest_spans(log) if config.rest.use else np.zeros((0, 2))
+    found = rest_spans(log) if rest_s is None and config.rest.use else rest_s
+    rest = found if found is not None and config.rest.use else np.zeros((0, 2))
     return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes)
 
 

@@ -64,7 +64,7 @@ def preintegrate(
     for lo in range(0, count, _BLOCK):
         hi = min(lo + _BLOCK, count)
         bounds = t[lo : hi + 1]
-        block = problem.imu.block(bounds[0], bounds[-1])
+        block = problem.imu.samples.block(bounds[0], bounds[-1])
         increments = compensated_increments(block, bounds, problem.minor_s, gyro_bias_b[lo:hi], accel_bias_b[lo:hi])
         motion = cumulate(increments)
         motions.append(_ends(motion))

@@ -102,8 +102,9 @@ def smooth(
 
             log = replace(read(log), truth=None)
     with stages.stage("frontend"):
-        refuse_wrong_units(log, rest_spans(log))
-        frontend = run_frontend(log, config)
+        rest = rest_spans(log)
+        refuse_wrong_units(log, rest)
+        frontend = run_frontend(log, config, rest)
         problem = pose_problem(log, config, frontend)
     solver = _solve_batch if method == "batch" else _solve_isam2
     solved = solver(problem, stages)
@@ -207,9 +208,9 @@ def _preintegrate(
 def biases_moved(problem: Problem, data: Preintegrated, gyro: Array, accel: Array) -> bool:
     """Whether the estimates left the range where first-order bias correction is exact enough.
 
-    Within a minor interval of length T a gyro bias error turns the force by half of it, an acceleration ``g db T /
-    2``; it must stay below a twentieth of the accelerometer's declared bias, which takes it up as a constant. The
-    second-order term over an interval between keyframes of length D, ``g db^2 D^2 / 6``, likewise.
+    Within a minor interval of length T a gyro bias error turns the force by half of it, an acceleration
+    ``g db T / 2``; it must stay below a twentieth of the accelerometer's declared bias, which takes it up as a
+    constant. The second-order term over an interval between keyframes of length D, ``g db^2 D^2 / 6``, likewise.
     """
     gyro_moved = np.abs(gyro - data.gyro_bias_b).max()
     accel_moved = np.abs(accel - data.accel_bias_b).max()

@@ -101,7 +101,7 @@ def test_spread_is_the_signals_own() -> None:
 def test_a_block_covers_its_span_with_a_neighbour_on_either_side(start_s: float, end_s: float) -> None:
     gyro, accel = values(100)
     found = imu_samples(imu_of(REGULAR, gyro, accel), 0.5)
-    block = found.block(start_s, end_s)
+    block = found.samples.block(start_s, end_s)
     assert block.edge_s[0] <= start_s + 1e-6
     assert block.edge_s[-1] >= end_s - 1e-6
     if start_s > 0.01:

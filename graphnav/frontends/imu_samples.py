@@ -31,10 +31,6 @@ class ImuSamples:
     gyro_spread: float
     accel_spread: float
 
-    def block(self, start_s: float, end_s: float) -> Samples:
-        """The samples that cover a span, with one neighbour on either side for the slopes."""
-        return self.samples.block(start_s, end_s)
-
 
 def imu_samples(imu: Imu, max_gap_s: float) -> ImuSamples:
     """Row k covers ``(t_k - dt, t_k]``; a hole before it is bridged by the mean of rows k-1 and k.
