@@ -62,8 +62,8 @@ def displacement_residual(
     """Odometer preintegrated over an interval: displacement of the odometer between two keyframes.
 
     Zheng (2021), equations 1-4, integrated over the interval with the gyro's attitude:
-    ``e = (1 + scale) m - [0, D, 0]`` with ``m = Exp(alpha) M^T (R_i^T (p_j + R_j l - p_i) - l)`` the displacement in the
-    mean machine frame of the interval and D the measured distance.
+    ``e = (1 + scale) m - [0, D, 0]`` with ``m = Exp(alpha) M^T (R_i^T (p_j + R_j l - p_i) - l)`` the displacement in
+    the mean machine frame of the interval and D the measured distance.
 
     Parameters
     ----------
