@@ -36,6 +36,12 @@ class Samples:
         hi = min(int(np.searchsorted(edge, end_s - 1e-6)) + 1, len(edge) - 1)
         return Samples(edge[lo : hi + 1], self.gyro_b[lo:hi], self.accel_b[lo:hi])
 
+    def mean_rate(self, start_s: float, end_s: float) -> Array:
+        """Mean angular rate (3,) over a span, samples at its ends by the part that lies within it, rad/s."""
+        part = self.block(start_s, end_s)
+        inside = np.clip(part.edge_s, start_s, end_s)
+        return np.asarray(np.diff(inside) @ part.gyro_b / (end_s - start_s))
+
 
 @dataclass(frozen=True)
 class Increments:

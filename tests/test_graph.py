@@ -20,6 +20,7 @@ from graphnav import problem as problem_
 from graphnav._metrics import truth_at
 from graphnav.config import Config
 from graphnav.errors import LogError
+from graphnav.frontends import condense
 from graphnav.graph import FactorAt
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
@@ -103,7 +104,7 @@ def test_blocks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     """Seven intervals at a time or all at once: the same factors, and every odometer sample once."""
     problem = posed(simulated(TWO_CUTS))
     whole = prepared(problem)
-    monkeypatch.setattr(preintegration_, "_BLOCK", 7)
+    monkeypatch.setattr(condense, "_BLOCK", 7)
     parts = prepared(problem)
     assert problem.log.odometer is not None
     for data in (whole, parts):

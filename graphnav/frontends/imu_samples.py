@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from factors.increments import Samples
-from graphnav._memory import allocate
+from graphnav._memory import allocate, release
 from graphnav._schema import Array
 from graphnav.log import Imu
 
@@ -30,6 +30,28 @@ class ImuSamples:
     bridged_s: Array
     gyro_spread: float
     accel_spread: float
+
+    def release(self) -> None:
+        """Let go of the samples' memory (see `graphnav._memory`); their values stay."""
+        release(self.samples.edge_s, self.samples.gyro_b, self.samples.accel_b)
+
+    def densities(self, bounds_s: Array, gyro_density: float, accel_density: float) -> tuple[Array, Array]:
+        """Noise densities over intervals, (K,) each: larger where bridged samples make the signal a guess.
+
+        Parameters
+        ----------
+        bounds_s : (K+1,) ascending; gyro_density, accel_density : of the sensor itself, rad/sqrt(s), m/s/sqrt(s).
+        """
+        count = len(bounds_s) - 1
+        bridged = self.bridged_s
+        touching = bridged[(bridged[:, 1] > bounds_s[0]) & (bridged[:, 0] < bounds_s[-1])]
+        # independent holes add up in variance
+        guessed = np.zeros(count)
+        for a, b in touching:
+            length = np.minimum(b, bounds_s[1:]) - np.maximum(a, bounds_s[:-1])
+            guessed += np.maximum(length, 0.0) ** 2
+        share = np.sqrt(guessed / np.diff(bounds_s))
+        return np.hypot(gyro_density, self.gyro_spread * share), np.hypot(accel_density, self.accel_spread * share)
 
 
 def imu_samples(imu: Imu, max_gap_s: float) -> ImuSamples:
