@@ -97,6 +97,23 @@ class Isam2Config(_Section):
     threshold_gyro_bias_rad_s: float = Field(1e-3, gt=0)
 
 
+class FilterConfig(_Section):
+    """The error-state Kalman filter of the methods ekf, rts and rts-online."""
+
+    preset: Literal["matched", "paper"] = Field(
+        "matched", description="the log's declared sigmas, or the published tuning (P0 x 3, Q x 5)"
+    )
+
+
+class DeadReckoningConfig(_Section):
+    """What dead reckoning is told of the sensors' errors."""
+
+    compensation: Literal["none", "rest", "rts"] = Field(
+        "rest",
+        description="gyro biases, scale and mounting: none; the gyro bias of the first rest; or all from an RTS run",
+    )
+
+
 class Config(_Section):
     """Everything `graphnav smooth` can be told."""
 
@@ -108,6 +125,8 @@ class Config(_Section):
     position: PositionConfig = PositionConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
+    filter: FilterConfig = FilterConfig()
+    dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
     covariance: bool = Field(True, description="covariances at all keyframes")
 
     @classmethod

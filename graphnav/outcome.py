@@ -8,7 +8,7 @@ import numpy as np
 
 from factors.so3 import Array, to_quaternion
 from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
-from graphnav.run import Calibration
+from graphnav.run import ACCEL_NAMES, DEG_H, GYRO_NAMES, MG, ODOMETER_NAMES, Calibration, CalibrationHistory
 from graphnav.solvers.batch import BatchResult
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.trajectory import ImuBridge, Trajectory
@@ -83,19 +83,33 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
                 float(value[row] / unit_size), None if sigma is None else float(sigma[row] / unit_size), unit
             )
 
-    degree = np.pi / 180
     if problem.has_calibration:
         key = C(int(problem.calibration_epoch[-1]))
-        names = [("odometer_scale", 1.0, "1")]
-        names += [(f"odometer_mounting_{axis}", degree, "deg") for axis in ("right", "forward", "up")]
-        put(key, values.atVector(key), names)
+        put(key, values.atVector(key), ODOMETER_NAMES)
     key = B(int(problem.bias_epoch[-1]))
-    mg, deg_h = 9.80665e-3, degree / 3600
-    names = [(f"accel_bias_{a}", mg, "mg") for a in "xyz"] + [(f"gyro_bias_{a}", deg_h, "deg/h") for a in "xyz"]
-    put(key, values.atConstantBias(key).vector(), names)
+    put(key, values.atConstantBias(key).vector(), [*ACCEL_NAMES, *GYRO_NAMES])
     for c in creep_cycles(problem):
         put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
     return found
+
+
+def history(problem: Problem, values: gtsam.Values) -> CalibrationHistory:
+    """Biases and odometer calibration over the epochs, at the keyframes (the first keyframe has the first epoch's)."""
+    gyro, accel = estimated_biases(problem, values)
+    parts = [_per_keyframe(accel) / MG, _per_keyframe(gyro) / DEG_H]
+    names = [*ACCEL_NAMES, *GYRO_NAMES]
+    if problem.has_calibration:
+        epochs = np.array([values.atVector(C(e)) for e in range(int(problem.calibration_epoch[-1]) + 1)])
+        parts.append(
+            _per_keyframe(epochs[problem.calibration_epoch]) / np.array([unit for _, unit, _ in ODOMETER_NAMES])
+        )
+        names += ODOMETER_NAMES
+    titles, _, units = zip(*names, strict=True)
+    return CalibrationHistory(problem.keyframe_s, titles, units, np.hstack(parts))
+
+
+def _per_keyframe(of_interval: Array) -> Array:
+    return np.concatenate([of_interval[:1], of_interval])
 
 
 def warnings(problem: Problem, biases_moved: bool) -> list[str]:

@@ -6,10 +6,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from graphnav._schema import Array
+from graphnav.baselines.innovations import Innovations
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from graphnav.config import Config
+
+
+DEGREE = np.pi / 180
+DEG_H, MG = DEGREE / 3600, 9.80665e-3
+#: Name, size of the unit in SI and unit of every calibration value, in the order of GTSAM's bias and of the odometer's.
+ACCEL_NAMES = [(f"accel_bias_{axis}", MG, "mg") for axis in "xyz"]
+GYRO_NAMES = [(f"gyro_bias_{axis}", DEG_H, "deg/h") for axis in "xyz"]
+ODOMETER_NAMES = [
+    ("odometer_scale", 1.0, "1"),
+    *((f"odometer_mounting_{axis}", DEGREE, "deg") for axis in ("right", "forward", "up")),
+]
 
 
 @dataclass(frozen=True)
@@ -46,6 +61,23 @@ class Diagnostics:
     history: list[dict[str, float]] = field(default_factory=list)
 
 
+@dataclass(frozen=True, eq=False)
+class CalibrationHistory:
+    """Estimated sensor parameters over time, at the trajectory's keyframes.
+
+    Attributes
+    ----------
+    t_s : (N,); names, units : as in `Run.calibration`, K of them.
+    value : (N, K); sigma : (N, K) or None.
+    """
+
+    t_s: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    value: Array
+    sigma: Array | None = None
+
+
 @dataclass(frozen=True)
 class Run:
     """A smoothed trajectory with calibration and diagnostics.
@@ -57,6 +89,8 @@ class Run:
     diagnostics : iterations, seconds per stage, warnings.
     config : the effective configuration.
     causal : with iSAM2, the trajectory of causal estimates (each keyframe from the past alone); else None.
+    history : the calibration over time.
+    innovations : with a Kalman filter, those of its forward pass; else None.
     """
 
     trajectory: Trajectory
@@ -64,6 +98,8 @@ class Run:
     diagnostics: Diagnostics
     config: Config
     causal: Trajectory | None = None
+    history: CalibrationHistory | None = None
+    innovations: Innovations | None = None
 
     def save(self, folder: str | Path, **options: Any) -> None:
         """Write the result files to a folder, whole or not at all."""

@@ -1,0 +1,15 @@
+"""The methods by name: what ``graphnav smooth --method`` and ``graphnav compare --methods`` take."""
+
+from __future__ import annotations
+
+#: Name -> what it is, in a few words.
+METHODS = {
+    "batch": "factor graph, all at once",
+    "isam2": "factor graph, incremental (iSAM2), then a batch polish",
+    "rts": "error-state Kalman filter and one backward pass over the whole log",
+    "rts-online": "the same, smoothed at each end of the face over the cycle just cut",
+    "ekf": "error-state Kalman filter alone: each keyframe from the past",
+    "dead-reckoning": "the gyro's attitude and the odometer's distance",
+    "dead-reckoning-cpoem": "dead reckoning corrected at closed-path points",
+}
+GRAPH_METHODS = ("batch", "isam2")

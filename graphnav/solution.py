@@ -1,0 +1,134 @@
+"""Solving a posed problem as a graph: condense the sensors, start from dead reckoning, solve, and repeat where the
+biases moved too far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.so3 import Array
+from graphnav._memory import release
+from graphnav._stages import Stages
+from graphnav.graph import build_factors, build_graph
+from graphnav.initial import States, initial_values, start_state
+from graphnav.outcome import estimated_biases
+from graphnav.preintegration import Preintegrated, preintegrate
+from graphnav.problem import Problem
+from graphnav.solvers import absolute, batch, incremental
+
+if TYPE_CHECKING:
+    import gtsam
+
+
+@dataclass
+class Solved:
+    """A solver's outcome.
+
+    Attributes
+    ----------
+    result : estimates and their square-root information.
+    data : the condensed sensor data that it was solved with.
+    biases_moved : whether the biases still moved at the end.
+    causal : the states that an incremental solver knew from the past alone, or None.
+    """
+
+    result: batch.BatchResult
+    data: Preintegrated
+    biases_moved: bool
+    causal: States | None = None
+
+
+def solve_batch(problem: Problem, stages: Stages) -> Solved:
+    """Batch smoothing from dead reckoning."""
+    with stages.stage("assemble") as tick:
+        start, gyro_bias = start_state(problem)
+        data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
+        values = initial_values(problem, data, start)
+    return _solve_rounds(problem, stages, data, values, [])
+
+
+def solve_isam2(problem: Problem, stages: Stages) -> Solved:
+    """iSAM2 through the keyframes, then batch iterations from its estimate: its thresholds leave millimetres behind."""
+    with stages.stage("assemble") as tick:
+        start, gyro_bias = start_state(problem)
+        data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
+        factors = build_factors(problem, data)
+    with stages.stage("solve") as tick:
+        passed = incremental.solve(problem, data, factors, start, problem.config.isam2, tick)
+        del factors
+    solved = _solve_rounds(problem, stages, data, passed.values, passed.predicted)
+    solved.causal = passed.causal
+    return solved
+
+
+def _solve_rounds(
+    problem: Problem,
+    stages: Stages,
+    data: Preintegrated,
+    values: gtsam.Values,
+    predicted: list[gtsam.NonlinearFactor],
+) -> Solved:
+    """Solve; where the biases moved too far for first-order correction, preintegrate at the better ones and repeat.
+
+    Parameters
+    ----------
+    data, values : condensed sensor data and the values to start from.
+    predicted : absolute closed-path priors that iSAM2 made on its way; batch makes its own where there are none.
+    """
+    config = problem.config.batch
+    history: list[batch.Iteration] = []
+    for round_ in range(config.bias_move_rounds):
+        with stages.stage("assemble"):
+            graph = build_graph(problem, data)
+            for factor in predicted:
+                graph.native.add(factor)
+        with stages.stage("solve") as tick:
+            result = batch.solve(
+                graph,
+                values,
+                max_iterations=config.max_iterations,
+                tolerance_sigma=config.tolerance_sigma,
+                progress=tick,
+            )
+            if problem.config.closed_path.form == "absolute" and not predicted:
+                result = absolute.solve_cycle_by_cycle(problem, graph, result)
+        history += result.iterations
+        gyro, accel = estimated_biases(problem, result.values)
+        moved = biases_moved(problem, data, gyro, accel)
+        if not moved or not result.converged or round_ == config.bias_move_rounds - 1:
+            break
+        with stages.stage("assemble") as tick:
+            data = _preintegrate(problem, gyro, accel, tick)
+            values = result.values
+    result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
+    return Solved(result, data, moved)
+
+
+def _preintegrate(
+    problem: Problem, gyro: Array, accel: Array, progress: Callable[[float, float], None] | None
+) -> Preintegrated:
+    """Preintegrate, and let go of the raw samples' memory: the solve needs it."""
+    data = preintegrate(problem, gyro, accel, progress)
+    problem.imu.release()
+    release(problem.log.imu.t_s if problem.log.imu is not None else None)
+    return data
+
+
+def biases_moved(problem: Problem, data: Preintegrated, gyro: Array, accel: Array) -> bool:
+    """Whether the estimates left the range where first-order bias correction is exact enough.
+
+    Within a minor interval of length T a gyro bias error turns the force by half of it, an acceleration
+    ``g db T / 2``; it must stay below a twentieth of the accelerometer's declared bias, which takes it up as a
+    constant. The second-order term over an interval between keyframes of length D, ``g db^2 D^2 / 6``, likewise.
+    """
+    gyro_moved = np.abs(gyro - data.gyro_bias_b).max()
+    accel_moved = np.abs(accel - data.accel_bias_b).max()
+    length = float(np.diff(problem.keyframe_s).max())
+    gravity = problem.gravity_m_s2
+    in_minor = gravity * gyro_moved * problem.minor_s / 2
+    between = gravity * gyro_moved**2 * length**2 / 6 + accel_moved * gyro_moved * length
+    return bool(max(in_minor, between) > 0.05 * problem.noise.accel_bias)
