@@ -14,6 +14,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from graphnav.analysis import observe
+    from graphnav.bound import bound
+    from graphnav.compare import compare
     from graphnav.config import Config
     from graphnav.evaluation import evaluate
     from graphnav.log import SensorLog
@@ -30,7 +33,10 @@ __all__ = [
     "Run",
     "SensorLog",
     "Trajectory",
+    "bound",
+    "compare",
     "evaluate",
+    "observe",
     "read",
     "simulate",
     "smooth",
@@ -39,16 +45,20 @@ __all__ = [
 
 #: Public name -> the module that defines it.
 #:
-#: `smooth` is the name of a function and of its module. Importing a submodule binds it on the package, so
-#: after any ``import graphnav.smooth`` the attribute ``graphnav.smooth`` is the module, whatever was there
-#: before. The module is therefore callable (see its last lines), and is what ``graphnav.smooth`` always
-#: means: ``gn.smooth(log)`` calls its function `smooth`, in whatever order things were imported.
+#: `smooth` is the name of a function and of its module; `bound` and `compare` likewise. Importing a submodule
+#: binds it on the package, so after any ``import graphnav.smooth`` the attribute ``graphnav.smooth`` is the
+#: module, whatever was there before. The module is therefore callable (see its last lines), and is what
+#: ``graphnav.smooth`` always means: ``gn.smooth(log)`` calls its function `smooth`, in whatever order things were
+#: imported.
 _PUBLIC = {
     "Config": "graphnav.config",
     "Run": "graphnav.run",
     "SensorLog": "graphnav.log",
     "Trajectory": "graphnav.trajectory",
+    "bound": "graphnav.bound",
+    "compare": "graphnav.compare",
     "evaluate": "graphnav.evaluation",
+    "observe": "graphnav.analysis",
     "read": "graphnav.readers",
     "simulate": "graphnav.simulation",
     "smooth": "graphnav.smooth",

@@ -44,6 +44,12 @@ class RelativePoseError:
 
 
 def truth_at(truth: Truth, t_s: Array) -> tuple[npt.NDArray[np.bool_], Array, Array]:
+    """Truth at given times, where it is known: `truth_states` without the velocities."""
+    known, pos, quat, _ = truth_states(truth, t_s)
+    return known, pos, quat
+
+
+def truth_states(truth: Truth, t_s: Array) -> tuple[npt.NDArray[np.bool_], Array, Array, Array]:
     """Truth at given times, where it is known.
 
     A gap counts as unknown when it is longer than five median steps and than one second.
@@ -58,6 +64,7 @@ def truth_at(truth: Truth, t_s: Array) -> tuple[npt.NDArray[np.bool_], Array, Ar
     known : (N,) bool, the M times that truth covers.
     pos_n : (M, 3) m.
     quat_nb : (M, 4) w, x, y, z.
+    vel_n : (M, 3) m/s, the derivative of the interpolated positions.
     """
     from scipy.spatial.transform import Rotation
 
@@ -75,11 +82,11 @@ def truth_at(truth: Truth, t_s: Array) -> tuple[npt.NDArray[np.bool_], Array, Ar
     vel = truth.vel_n_m_s
     if vel is None:
         vel = np.gradient(truth.pos_n_m, times, axis=0, edge_order=2 if len(times) > 2 else 1)
-    pos = _hermite(u, step, truth.pos_n_m[left], truth.pos_n_m[left + 1], vel[left], vel[left + 1])
+    pos, moving = _hermite(u, step, truth.pos_n_m[left], truth.pos_n_m[left + 1], vel[left], vel[left + 1])
     start = Rotation.from_quat(truth.quat_nb[left], scalar_first=True)
     turn = (start.inv() * Rotation.from_quat(truth.quat_nb[left + 1], scalar_first=True)).as_rotvec()
     quat = (start * Rotation.from_rotvec(u[:, None] * turn)).as_quat(scalar_first=True)
-    return known, pos, np.asarray(quat)
+    return known, pos, np.asarray(quat), moving
 
 
 def nees(error: Array, cov: Array, t_s: Array) -> float | None:
@@ -111,10 +118,17 @@ def nees_axes(error: Array, cov: Array) -> tuple[float, ...] | None:
 
 def align(pos: Array, onto: Array) -> Array:
     """`pos` (N, 3) moved rigidly (rotation and translation, no scale) to fit `onto` best (Umeyama 1991)."""
+    rotation, shift = alignment(pos, onto)
+    return pos @ rotation.T + shift
+
+
+def alignment(pos: Array, onto: Array) -> tuple[Array, Array]:
+    """Rotation (3, 3) and translation (3,) that move `pos` (N, 3) to fit `onto` best."""
     centre, target = pos.mean(axis=0), onto.mean(axis=0)
     u, _, vt = np.linalg.svd((onto - target).T @ (pos - centre))
     reflect = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    return np.asarray((pos - centre) @ (u @ reflect @ vt).T + target)
+    rotation = u @ reflect @ vt
+    return rotation, target - rotation @ centre
 
 
 def resolved_distance(travelled: Array) -> float:
@@ -159,10 +173,13 @@ def _pairs(along: Array, delta: float) -> tuple[Indices, Indices]:
     return first[good], second[good]
 
 
-def _hermite(u: Array, step: Array, p0: Array, p1: Array, v0: Array, v1: Array) -> Array:
+def _hermite(u: Array, step: Array, p0: Array, p1: Array, v0: Array, v1: Array) -> tuple[Array, Array]:
+    """The cubic that meets both positions and velocities, and its time derivative."""
     u, step = u[:, None], step[:, None]
     rise = u * u * (3 - 2 * u)
-    return p0 + rise * (p1 - p0) + step * u * (1 - u) * ((1 - u) * v0 - u * v1)
+    pos = p0 + rise * (p1 - p0) + step * u * (1 - u) * ((1 - u) * v0 - u * v1)
+    vel = 6 * u * (1 - u) * (p1 - p0) / step + (1 - u) * (1 - 3 * u) * v0 + u * (3 * u - 2) * v1
+    return pos, vel
 
 
 def attitude_error(quat: Array, quat_true: Array) -> Array:

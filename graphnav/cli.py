@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 
 from graphnav import __version__, commands
 from graphnav.errors import GraphnavError
+from graphnav.methods import METHODS
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -66,7 +67,11 @@ def _parser() -> argparse.ArgumentParser:
     parser = _Parser(prog="graphnav", description="Offline factor-graph smoothing of recorded navigation logs.")
     parser.add_argument("--version", action="version", version=f"graphnav {__version__}")
     group = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for add in (_add_demo, _add_info, _add_import, _add_simulate, _add_smooth, _add_evaluate):
+    everything = (
+        _add_demo, _add_info, _add_import, _add_simulate, _add_smooth, _add_evaluate, _add_compare, _add_bound,
+        _add_observability,
+    )  # fmt: skip
+    for add in everything:
         add(group)
     return parser
 
@@ -137,7 +142,7 @@ def _add_smooth(group: Any) -> None:
     parser = _command(group, "smooth", commands.smooth, text, "graphnav smooth shift/ -o run/")
     parser.add_argument("log", type=Path, metavar="LOG", help="log folder")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="RUN", help="run folder to write")
-    parser.add_argument("--method", choices=("batch", "isam2"), default="batch", help="default %(default)s")
+    parser.add_argument("--method", choices=tuple(METHODS), default="batch", help="default %(default)s")
     parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults")
     parser.add_argument("--overwrite", action="store_true", help="replace RUN whatever it holds")
 
@@ -147,6 +152,49 @@ def _add_evaluate(group: Any) -> None:
     parser = _command(group, "evaluate", commands.evaluate, text, "graphnav evaluate run/ shift/ --plot run.png")
     parser.add_argument("folder", type=Path, metavar="RUN", help="run folder")
     parser.add_argument("log", type=Path, metavar="LOG", help="log folder with truth")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it (.png, .pdf or .svg)")
+
+
+def _add_compare(group: Any) -> None:
+    text = "Compare methods on a log, or on many seeds of a scenario."
+    example = "graphnav compare shift/ --methods batch,rts,ekf --plot compare.png"
+    parser = _command(group, "compare", commands.compare, text, example)
+    parser.add_argument("log", metavar="LOG", help="log folder, or the name of a scenario")
+    names = ",".join(METHODS)
+    parser.add_argument("--methods", type=_names, metavar="A,B,C", help=f"default all: {names}")
+    parser.add_argument(
+        "--seeds", type=int, default=0, metavar="N", help="simulate the log's scenario again with seeds 0 to N-1"
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the table")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it (.png, .pdf or .svg)")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _add_bound(group: Any) -> None:
+    text = "The Cramer-Rao bound of a log with truth, beside what the batch smoother achieves."
+    parser = _command(group, "bound", commands.bound, text, "graphnav bound shift/ --plot bound.png")
+    parser.add_argument("log", type=Path, metavar="LOG", help="log folder with truth")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it (.png, .pdf or .svg)")
+
+
+def _add_observability(group: Any) -> None:
+    text = "Say which states a log makes observable, over time, and what it leaves confused with what."
+    example = "graphnav observability shift/ --plot observability.png"
+    parser = _command(group, "observability", commands.observability, text, example)
+    parser.add_argument("log", type=Path, metavar="LOG", help="log folder")
+    parser.add_argument(
+        "--smoothed", action="store_true", help="each time from the whole log, not the log up to it"
+    )
+    parser.add_argument("--filter", action="store_true", help="from the Kalman filter's covariances, not the graph's")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it (.png, .pdf or .svg)")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 import time
 from dataclasses import replace
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from graphnav.errors import GraphnavError
 
 if TYPE_CHECKING:
+    from graphnav.config import Config
     from graphnav.evaluation import Evaluation
     from graphnav.log import SensorLog
     from graphnav.run import Run
@@ -80,13 +82,12 @@ def simulate(arguments: argparse.Namespace) -> None:
 
 def smooth(arguments: argparse.Namespace) -> None:
     """Smooth a log to a run folder."""
-    from graphnav.config import Config
     from graphnav.report import results
     from graphnav.report.terminal import ProgressBar, run_summary
     from graphnav.smooth import smooth as smooth_log
 
     results.check_folder(arguments.output, overwrite=arguments.overwrite)
-    config = None if arguments.config is None else Config.from_toml(arguments.config)
+    config = _config(arguments)
     begun = time.perf_counter()
     log = _read(arguments.log)
     read_s = time.perf_counter() - begun
@@ -107,7 +108,7 @@ def _judged(run: Run, log: SensorLog) -> Evaluation | None:
     if log.truth is None:
         return None
     try:
-        return judge(run.trajectory, log)
+        return judge(run.trajectory, log, innovations=run.innovations)
     except GraphnavError as error:
         print(f"graphnav: warning: not judged by truth: {error}", file=sys.stderr)
         return None
@@ -137,6 +138,96 @@ def evaluate(arguments: argparse.Namespace) -> None:
         _print_json(evaluation.to_dict())
     else:
         evaluation_tables(evaluation)
+
+
+def compare(arguments: argparse.Namespace) -> None:
+    """Compare methods; what a method that failed leaves of the others is shown before its failure is told."""
+    from graphnav.compare import compare as compare_methods
+    from graphnav.report.comparison import plot, show
+    from graphnav.report.terminal import ProgressBar
+
+    _check_picture(arguments.plot)
+    config = _config(arguments)
+    with ProgressBar() as progress:
+        found = compare_methods(arguments.log, arguments.methods, config, arguments.seeds, progress)
+    if arguments.json:
+        _print_json(found.to_dict())
+    else:
+        show(found)
+    if arguments.markdown is not None:
+        _write_text(arguments.markdown, found.to_markdown())
+    if arguments.plot is not None and len(found.failed) < len(found.rows):
+        plot(found, arguments.plot)
+    if found.failed:
+        row, others = found.failed[0], len(found.failed) - 1
+        more = f" (and {others} more method{'s' * (others > 1)})" if others else ""
+        raise GraphnavError(f"{row.method} failed: {row.error}{more}")
+
+
+def bound(arguments: argparse.Namespace) -> None:
+    """Show the Cramer-Rao bound of a log."""
+    from graphnav.bound import bound as bound_of
+    from graphnav.report.limits import plot, show
+    from graphnav.report.terminal import ProgressBar
+
+    _check_picture(arguments.plot)
+    config = _config(arguments)
+    log = _read(arguments.log)
+    with ProgressBar() as progress:
+        found = bound_of(log, config, progress)
+    if arguments.plot is not None:
+        plot(found, arguments.plot)
+    if arguments.json:
+        _print_json(found.to_dict())
+    else:
+        show(found)
+
+
+def observability(arguments: argparse.Namespace) -> None:
+    """Show which states a log makes observable."""
+    from graphnav.analysis import observe
+    from graphnav.report.observability import plot, render
+    from graphnav.report.terminal import ProgressBar
+
+    _check_picture(arguments.plot)
+    source: Any = "filter" if arguments.filter else "graph"
+    kind: Any = "smoothed" if arguments.smoothed else "causal"
+    log, config = _read(arguments.log), _config(arguments)
+    with ProgressBar() as progress:
+        found = observe(log, config, source=source, kind=kind, progress=progress)
+    if arguments.plot is not None:
+        plot(found, arguments.plot)
+    if arguments.json:
+        _print_json(found.to_dict())
+    else:
+        render(found)
+
+
+def _check_picture(path: Path | None) -> None:
+    """Refuse a picture's name before the work, not after it."""
+    from graphnav.report.plots import check_picture
+
+    if path is not None:
+        check_picture(path)
+
+
+def _config(arguments: argparse.Namespace) -> Config | None:
+    from graphnav.config import Config
+
+    return None if arguments.config is None else Config.from_toml(arguments.config)
+
+
+def _write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    beside = path.with_name(f".{path.name}.writing-{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise GraphnavError(f"{path}: cannot be written ({error.strerror or error})") from error
+    finally:
+        beside.unlink(missing_ok=True)
 
 
 def _read(path: Path) -> SensorLog:

@@ -3,6 +3,9 @@
 Errors are estimate less truth at the trajectory's keyframes. Truth is interpolated to the keyframe times
 (position: cubic Hermite, attitude: slerp) inside its own span only: nothing is extrapolated, and no keyframe
 in a gap of the truth is judged.
+
+SEP, the spherical error probable, is the median of the 3-D error's norm: the radius of the sphere about the truth that
+holds half of the keyframes' estimates.
 """
 
 from __future__ import annotations
@@ -13,31 +16,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from graphnav import _metrics as metrics
+from graphnav._consistency import one_run_band
+from graphnav._cycles import CycleError, cycle_errors, sep
 from graphnav._metrics import RelativePoseError
 from graphnav._schema import Array
+from graphnav._statistics import PERCENT, AbsolutePoseError, AxisStatistics, absolute_error, quantiles
 from graphnav.errors import GraphnavError
 
 if TYPE_CHECKING:
+    from graphnav.baselines.innovations import Innovations
     from graphnav.log import Position, SensorLog
     from graphnav.trajectory import Trajectory
 
 ATT, POS = slice(0, 3), slice(3, 6)  # blocks of the 9x9 covariance
 RPE_TIME_S = 10.0
-
-
-@dataclass(frozen=True)
-class CycleError:
-    """Position error in one cutting cycle: from its cut_start to its cut_end."""
-
-    cycle: int
-    start_s: float
-    end_s: float
-    sep_m: float
-    max_m: tuple[float, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Keys of one row of `per_cycle`."""
-        return {"cycle": self.cycle, "sep_m": self.sep_m, "max_m": list(self.max_m)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +45,13 @@ class Evaluation:
     per_cycle : one entry per cutting cycle; empty where there are no cycles.
     nees_position, nees_attitude : mean of ``e' P^-1 e / 3``: 1 is consistent, above 1 too sure of itself.
         None without covariances.
+        Errors at the keyframes of one run hang together, so their mean is taken for one draw: see `nees_band`.
     nees_axes : the same for each axis on its own: mean of ``e^2 / sigma^2`` in east, north, up.
-    ate_m : rms of the position error's norm after the best rigid alignment (no scale).
-    ate_unaligned_m : the same without alignment.
-    rpe : relative pose errors by name, "distance" and "time".
+    ape : absolute pose errors by name: "aligned" by the best rigid motion (no scale), "unaligned" as they stand.
+    rpe : relative pose errors by name, "distance" and "time"; a rigid motion of the estimate does not change them, so
+        they are the same aligned or not.
+    nis : normalized innovations squared of all measurements and of each kind, with their bands: see
+        `graphnav.baselines.innovations.Nis`. None for what is no Kalman filter.
     notes : what a reader of the figures must know, such as a cycle that truth covers in part.
     """
 
@@ -68,9 +63,9 @@ class Evaluation:
     nees_position: float | None
     nees_axes: tuple[float, ...] | None
     nees_attitude: float | None
-    ate_m: float
-    ate_unaligned_m: float
+    ape: dict[str, AbsolutePoseError]
     rpe: dict[str, RelativePoseError]
+    nis: dict[str, Any] | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -93,8 +88,40 @@ class Evaluation:
         """(3,) largest absolute attitude error about the body's right, forward and up axes."""
         return np.rad2deg(metrics.largest(self.att_error_b_rad))
 
+    @property
+    def sep_m(self) -> float:
+        """Median of the 3-D position error's norm over all keyframes."""
+        return sep(self.error_n_m)
+
+    @property
+    def quantiles_m(self) -> tuple[float, ...]:
+        """3-D error that 10, 20, ... 100 % of the keyframes do not exceed."""
+        return quantiles(self.error_n_m)
+
+    @property
+    def ate_m(self) -> float:
+        """Root mean square of the position error's norm after the best rigid alignment (no scale)."""
+        return self.ape["aligned"].translation_rms_m
+
+    @property
+    def ate_unaligned_m(self) -> float:
+        """The same without alignment."""
+        return self.ape["unaligned"].translation_rms_m
+
+    @property
+    def nees_band(self) -> dict[str, tuple[float, float]] | None:
+        """95 % bands of the NEES, the run taken for one draw of its axes; None without covariances.
+
+        Keyframes of one run are correlated, how far one run does not tell: at worst they are one draw. Independent
+        runs (seeds) tell more: `graphnav._consistency.OverRuns`.
+        """
+        if self.nees_position is None and self.nees_attitude is None:
+            return None
+        return {"position": one_run_band(3), "axis": one_run_band(1), "attitude": one_run_band(3)}
+
     def to_dict(self) -> dict[str, Any]:
         """The object that ``graphnav evaluate --json`` prints; plain numbers and lists, None for unknown."""
+        band = self.nees_band
         return {
             "rms_m": self.rms_m.tolist(),
             "max_m": self.max_m.tolist(),
@@ -106,7 +133,16 @@ class Evaluation:
             "rms_deg": self.rms_deg.tolist(),
             "max_deg": self.max_deg.tolist(),
             "nees_attitude": self.nees_attitude,
+            "nees_band": None if band is None else {name: list(bounds) for name, bounds in band.items()},
+            "nis": self.nis,
             "ate_unaligned_m": self.ate_unaligned_m,
+            "ape": {name: error.to_dict() for name, error in self.ape.items()},
+            "sep_m": self.sep_m,
+            "cdf": {"percent": list(PERCENT), "error_3d_m": list(self.quantiles_m)},
+            "statistics": {
+                "position_m": AxisStatistics.of(self.error_n_m).to_dict(),
+                "attitude_deg": AxisStatistics.of(np.rad2deg(self.att_error_b_rad)).to_dict(),
+            },
             "keyframes": {"judged": len(self.t_s), "of": self.keyframes_total},
             "span_s": [float(self.t_s[0]), float(self.t_s[-1])],
             "notes": list(self.notes),
@@ -129,7 +165,12 @@ class WithheldError:
         return {**vars(self), "rms_m": list(self.rms_m), "max_m": list(self.max_m)}
 
 
-def evaluate(trajectory: Trajectory, log: SensorLog, rpe_distance_m: float | None = None) -> Evaluation:
+def evaluate(
+    trajectory: Trajectory,
+    log: SensorLog,
+    rpe_distance_m: float | None = None,
+    innovations: Innovations | None = None,
+) -> Evaluation:
     """Judge a trajectory by the truth in its log.
 
     Parameters
@@ -138,6 +179,7 @@ def evaluate(trajectory: Trajectory, log: SensorLog, rpe_distance_m: float | Non
     log : the log that holds the truth, and the events or the odometer that tell the cycles.
     rpe_distance_m : distance travelled between the two poses of a relative pose error. By default the first
         of 10, 100 and 1000 m that the spacing of the keyframes resolves to 10 %.
+    innovations : of a Kalman filter (`Run.innovations`), for the NIS.
 
     Raises
     ------
@@ -157,7 +199,7 @@ def evaluate(trajectory: Trajectory, log: SensorLog, rpe_distance_m: float | Non
     t_s, pos, quat = trajectory.t_s[judged], trajectory.pos_n[judged], trajectory.quat_nb[judged]
     error, att_error = pos - pos_true, metrics.attitude_error(quat, quat_true)
     cov = None if trajectory.cov is None else trajectory.cov[judged]
-    cycles, notes = _cycle_errors(t_s, error, log)
+    cycles, notes = cycle_errors(t_s, error, log)
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pos_true, axis=0), axis=1))])
     distance = rpe_distance_m or metrics.resolved_distance(travelled)
     poses = (pos, quat, pos_true, quat_true)
@@ -170,12 +212,15 @@ def evaluate(trajectory: Trajectory, log: SensorLog, rpe_distance_m: float | Non
         nees_position=None if cov is None else metrics.nees(error, cov[:, POS, POS], t_s),
         nees_axes=None if cov is None else metrics.nees_axes(error, cov[:, POS, POS]),
         nees_attitude=None if cov is None else metrics.nees(att_error, cov[:, ATT, ATT], t_s),
-        ate_m=metrics.rms_norm(metrics.align(pos, pos_true) - pos_true),
-        ate_unaligned_m=metrics.rms_norm(error),
+        ape={
+            "aligned": absolute_error(*poses, aligned=True),
+            "unaligned": absolute_error(*poses, aligned=False),
+        },
         rpe={
             "distance": metrics.relative_error(travelled, distance, "m", *poses),
             "time": metrics.relative_error(t_s, RPE_TIME_S, "s", *poses),
         },
+        nis=None if innovations is None else innovations.to_dict(),
         notes=notes,
     )
 
@@ -209,29 +254,6 @@ def withheld_error(trajectory: Trajectory, position: Position) -> WithheldError:
         median_3d_m=float(np.median(norm)),
         nees_position=consistency,
     )
-
-
-def cycle_spans(log: SensorLog) -> tuple[tuple[int, float, float], ...]:
-    """Cutting cycles as (number, start, end): from the events, or found in the odometer without them.
-
-    A cut that the end of the log breaks off is no cycle.
-    """
-    from graphnav.frontends.cutting_cycles import find_cycles
-
-    return tuple((c.number, c.start_s, c.end_s) for c in find_cycles(log) if c.end_s is not None)
-
-
-def _cycle_errors(t_s: Array, error: Array, log: SensorLog) -> tuple[tuple[CycleError, ...], tuple[str, ...]]:
-    errors, notes = [], []
-    for cycle, start, end in cycle_spans(log):
-        inside = (t_s >= start) & (t_s <= end)
-        covered = float(np.ptp(t_s[inside])) if inside.any() else 0.0
-        if covered < 0.9 * (end - start):
-            notes.append(f"cycle {cycle}: judged over {covered:.0f} s of {end - start:.0f} s")
-        if inside.any():
-            sep = float(np.median(np.linalg.norm(error[inside], axis=1)))
-            errors.append(CycleError(cycle, start, end, sep, tuple(metrics.largest(error[inside]).tolist())))
-    return tuple(errors), tuple(notes)
 
 
 def _span(t_s: Array) -> str:

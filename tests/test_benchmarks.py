@@ -366,14 +366,6 @@ def test_error_vanishes_with_the_samples_length() -> None:
 # Accuracy: consistency --------------------------------------------------------------------------------------
 
 
-def test_false_alarm_rate_of_a_band() -> None:
-    from scipy.stats import chi2
-
-    assert accuracy.false_alarm(40.0, Target(high=chi2.isf(0.05, 40) / 40)) == pytest.approx(0.05)
-    assert accuracy.false_alarm(40.0, Target(low=chi2.ppf(0.02, 40) / 40)) == pytest.approx(0.02)
-    assert accuracy.false_alarm(1e6, Target(low=0.7, high=1.4)) < 1e-12
-
-
 def test_degrees_of_freedom_come_back() -> None:
     draws = np.random.default_rng(5).chisquare(6, size=4000) / 6
     rows = by_name(accuracy.nees_rows("x", draws.tolist(), Target(low=0.7, high=1.4)))

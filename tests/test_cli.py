@@ -16,11 +16,12 @@ import pytest
 import graphnav.smooth as smooth_module
 from graphnav import cli, commands, demo
 from graphnav.errors import SolveError
+from graphnav.methods import METHODS
 from graphnav.readers import read
 from graphnav.report import results, terminal
 from graphnav.simulation import SCENARIOS
 
-COMMANDS = ("demo", "info", "import", "simulate", "smooth", "evaluate")
+COMMANDS = ("demo", "info", "import", "simulate", "smooth", "evaluate", "compare", "bound")
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def test_help_names_every_scenario_option_and_method(capsys: pytest.CaptureFixtu
             assert f"--{option.removesuffix('_m')} " in text
     with pytest.raises(SystemExit):
         cli.main(["smooth", "--help"])
-    assert "{" + ",".join(smooth_module.METHODS) + "}" in capsys.readouterr().out
+    assert "{" + ",".join(METHODS) + "}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -84,6 +85,8 @@ def test_help_names_every_scenario_option_and_method(capsys: pytest.CaptureFixtu
         (["smooth", "log", "-o", "run", "--method", "magic"], "'magic'"),
         (["simulate", "full-shift", "--seed", "x", "-o", "log"], "--seed"),
         (["import", "csv", "-o", "log"], "'csv'"),
+        (["compare"], "LOG"),
+        (["compare", "log", "--seeds", "many"], "--seeds"),
     ],
 )
 def test_wrong_use_is_one_line_and_status_2(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -102,6 +105,13 @@ def test_wrong_use_is_one_line_and_status_2(words: list[str], said: str, capsys:
         (["evaluate", "nowhere", "nowhere"], "trajectory.parquet"),
         (["simulate", "moonwalk", "-o", "log"], "moonwalk"),
         (["simulate", "shearer-mems", "--hours", "1", "-o", "log"], "hours"),
+        (["compare", "nowhere"], "nowhere"),
+        (["compare", "nowhere", "--methods", "batch,magic"], 'unknown method "magic"'),
+        (["compare", "nowhere", "--methods", ","], "no method given"),
+        (["compare", "nowhere", "--plot", "x.bmp"], "x.bmp"),
+        (["compare", "nowhere", "--config", "no.toml"], "no.toml"),
+        (["bound", "nowhere"], "nowhere"),
+        (["bound", "nowhere", "--plot", "x.bmp"], "x.bmp"),
         (["import", "comma2k19", "-o", "log"], "needs SRC"),
         (["import", "comma2k19", "nowhere", "-o", "log"], "nowhere"),
         (["import", "kitti-gtsam", "--wheel-scale", "0.1", "-o", "log"], "takes no --wheel-scale"),
@@ -182,7 +192,67 @@ def test_evaluate_prints_the_keys_of_the_interface(
     assert err == "" and plot.exists()
     assert cli.main(["evaluate", str(run), str(shift)]) == 0
     out, err = capsys.readouterr()
-    assert out == "" and "NEES" in err and "ATE" in err
+    assert out == "" and "NEES" in err and "APE" in err and "SEP" in err
+
+
+def test_compare_prints_the_rows_of_the_interface(
+    shift: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plot, text = tmp_path / "compare.png", tmp_path / "tables" / "compare.md"
+    words = ["compare", str(shift), "--methods", "batch, isam2"]
+    assert cli.main([*words, "--json", "--plot", str(plot), "--markdown", str(text)]) == 0
+    out, err = capsys.readouterr()
+    rows = json.loads(out)["rows"]
+    assert [row["method"] for row in rows] == ["batch", "isam2"]
+    assert {"method", "seconds", "rms_m", "max_m", "per_cycle", "nees_position"} <= set(rows[0])
+    assert err == "" and plot.exists() and "| isam2 |" in text.read_text()
+    assert cli.main(words) == 0
+    out, err = capsys.readouterr()
+    assert out == "" and "isam2" in err and "NEES" in err
+
+
+def test_compare_of_seeds_by_the_name_of_a_scenario(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["compare", "full-shift_hours=0.02", "--methods", "batch", "--seeds", "2", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["log"], found["seeds"]) == ("full-shift_hours=0.02", 2)
+    assert found["rows"][0]["over_seeds"]["runs"] == 2
+
+
+def test_compare_shows_the_rest_before_it_tells_of_a_failure(
+    shift: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    original = smooth_module.smooth
+
+    def smooth_or_fail(log: Any, config: Any, method: str, progress: Any) -> Any:
+        if method == "isam2":
+            raise SolveError("not converged; raise the limit")
+        return original(log, config, method, progress)
+
+    monkeypatch.setattr(smooth_module, "smooth", smooth_or_fail)
+    plot = tmp_path / "compare.png"
+    words = ["compare", str(shift), "--methods", "isam2,batch", "--json"]
+    assert cli.main([*words, "--plot", str(plot)]) == 2
+    out, err = capsys.readouterr()
+    assert json.loads(out)["rows"][1]["error"] is None
+    assert err == "graphnav: error: isam2 failed: not converged; raise the limit\n"
+    assert plot.exists()
+    monkeypatch.setattr(smooth_module, "smooth", failing(SolveError("no")))
+    assert cli.main([*words, "--plot", str(tmp_path / "none.png")]) == 2
+    assert capsys.readouterr().err == "graphnav: error: isam2 failed: no (and 1 more method)\n"
+    assert not (tmp_path / "none.png").exists()
+
+
+def test_bound_prints_json_and_draws(shift: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plot = tmp_path / "bound.png"
+    assert cli.main(["bound", str(shift), "--json", "--plot", str(plot)]) == 0
+    out, err = capsys.readouterr()
+    found = json.loads(out)
+    assert {"bound_m", "rms_m", "efficiency", "per_cycle", "over_time"} <= set(found)
+    assert 0 < found["efficiency"] < 5
+    assert err == "" and plot.exists()
+    assert cli.main(["bound", str(shift)]) == 0
+    out, err = capsys.readouterr()
+    assert out == "" and "Cramer-Rao" in err and "rms / bound" in err
 
 
 def test_a_log_without_truth_is_smoothed_and_not_judged(
@@ -199,6 +269,10 @@ def test_a_log_without_truth_is_smoothed_and_not_judged(
     assert cli.main(["evaluate", str(tmp_path / "run"), str(blind), "--json"]) == 2
     out, err = capsys.readouterr()
     assert out == "" and "has no truth table" in err
+    assert cli.main(["bound", str(blind)]) == 2
+    assert "has no truth table" in capsys.readouterr().err
+    assert cli.main(["compare", str(blind), "--methods", "batch,isam2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["reference"] == "batch"
 
 
 def test_a_failed_solution_writes_nothing(

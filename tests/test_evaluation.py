@@ -7,10 +7,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from graphnav._metrics import align, nees, truth_at
+from graphnav._consistency import OverRuns, band, false_alarm
+from graphnav._metrics import align, nees, truth_at, truth_states
+from graphnav.baselines.innovations import Innovations
 from graphnav.errors import GraphnavError, LogError
 from graphnav.evaluation import evaluate, withheld_error
 from graphnav.log import Events, Frames, Position, SensorLog, Truth
+from graphnav.report.terminal import evaluation_tables
 from graphnav.trajectory import Trajectory
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
@@ -253,3 +256,111 @@ def test_withheld_positions() -> None:
     outside = Position(t_s=[500.0], pos_n_m=[[0.0, 0, 0]], sigma_n_m=[[1.0, 1, 1]])
     with pytest.raises(GraphnavError, match="no withheld position"):
         withheld_error(run, outside)
+
+
+# Statistics, distribution, bands ------------------------------------------------------------------------------
+
+
+def test_statistics_by_hand_and_in_the_json() -> None:
+    truth = straight_truth()
+    error = np.zeros((4, 3))
+    error[:, 0] = [0.1, 0.1, 0.3, -0.1]
+    found = evaluate(trajectory_of(truth, np.arange(4.0), error), make_log(truth)).to_dict()
+    position = found["statistics"]["position_m"]
+    assert position["mean"] == pytest.approx([0.1, 0.0, 0.0])
+    assert position["std"] == pytest.approx([np.sqrt(0.02), 0.0, 0.0])
+    assert position["rms"] == found["rms_m"] == pytest.approx([np.sqrt(0.03), 0.0, 0.0])
+    assert position["max"] == found["max_m"] == pytest.approx([0.3, 0.0, 0.0])
+    assert set(found["statistics"]["attitude_deg"]) == {"mean", "std", "rms", "max"}
+    assert found["nees_band"] is None and found["nis"] is None
+
+
+def test_attitude_statistics_keep_the_sign_of_a_constant_error() -> None:
+    truth = straight_truth()
+    t = np.arange(11.0)
+    turned = np.tile(quaternions(np.array([-0.02, 0.0, 0.01])), (11, 1))
+    run = Trajectory(t, np.outer(t, [0.0, 1.0, 0.0]), turned, np.zeros((11, 3)))
+    found = evaluate(run, make_log(truth)).to_dict()["statistics"]["attitude_deg"]
+    assert found["mean"] == pytest.approx(np.rad2deg([-0.02, 0.0, 0.01]))
+    assert found["std"] == pytest.approx([0, 0, 0], abs=1e-9)
+
+
+def test_distribution_of_the_error() -> None:
+    truth = straight_truth()
+    t = np.arange(100.0)
+    error = np.zeros((100, 3))
+    error[:, 2] = np.random.default_rng(3).permutation(np.arange(1, 101)) / 100  # 0.01, 0.02 ... 1.00 in some order
+    found = evaluate(trajectory_of(truth, t, error), make_log(truth))
+    assert found.quantiles_m == pytest.approx([k / 10 for k in range(1, 11)])
+    assert found.sep_m == pytest.approx(0.505)
+    cdf = found.to_dict()["cdf"]
+    assert cdf["percent"] == list(range(10, 101, 10)) and cdf["error_3d_m"] == pytest.approx(found.quantiles_m)
+
+
+def test_alignment_turns_attitudes_with_the_positions() -> None:
+    rng = np.random.default_rng(8)
+    t = np.arange(50.0)
+    pos, att = rng.normal(size=(50, 3)), Rotation.from_rotvec(rng.normal(size=(50, 3)))
+    truth = Truth(t_s=t, pos_n_m=pos, quat_nb=att.as_quat(scalar_first=True))
+    whole = Rotation.from_rotvec([0.0, 0.0, 0.5])
+    moved = Trajectory(t, whole.apply(pos) + 7, (whole * att).as_quat(scalar_first=True), np.zeros((50, 3)))
+    ape = evaluate(moved, make_log(truth)).ape
+    assert ape["unaligned"].rotation_rms_deg == pytest.approx(np.rad2deg(0.5))
+    assert ape["unaligned"].translation_rms_m > 7
+    assert ape["aligned"].translation_rms_m == pytest.approx(0, abs=1e-12)
+    assert ape["aligned"].rotation_rms_deg == pytest.approx(0, abs=1e-6)
+
+
+def test_true_velocities_are_the_derivative_of_the_true_positions() -> None:
+    t = np.arange(0.0, 5.1, 0.5)
+    pos = np.column_stack([t**3, 2 * t**2, -t])
+    vel = np.column_stack([3 * t**2, 4 * t, -np.ones_like(t)])
+    truth = Truth(t_s=t, pos_n_m=pos, quat_nb=np.tile(IDENTITY, (len(t), 1)), vel_n_m_s=vel)
+    wanted = np.array([0.0, 0.1, 2.25, 4.99])
+    found = truth_states(truth, wanted)[3]
+    np.testing.assert_allclose(found, np.column_stack([3 * wanted**2, 4 * wanted, -np.ones(4)]), atol=1e-12)
+
+
+def test_band_of_one_run() -> None:
+    truth = straight_truth()
+    run = trajectory_of(truth, np.arange(11.0), np.zeros(3), np.tile(np.eye(9), (11, 1, 1)))
+    found = evaluate(run, make_log(truth)).nees_band
+    # table values: chi-square of 3 and of 1 degrees of freedom, 2.5 % to either side
+    assert found["position"] == found["attitude"] == pytest.approx((0.2158 / 3, 9.3484 / 3), rel=1e-3)
+    assert found["axis"] == pytest.approx((0.000982, 5.0239), rel=1e-3)
+
+
+def test_nis_of_a_filter_is_in_the_evaluation(capsys: pytest.CaptureFixture[str]) -> None:
+    truth = straight_truth()
+    draws = np.random.default_rng(4).normal(size=500)
+    kind = np.arange(500) % 2
+    kept = Innovations(np.arange(500.0), kind, ("speed", "rest"), 2 * draws, np.full(500, 4.0))
+    run = trajectory_of(truth, np.arange(11.0), np.zeros(3))
+    judged = evaluate(run, make_log(truth), innovations=kept)
+    found = judged.to_dict()["nis"]
+    assert set(found) == {"all", "speed", "rest"}
+    assert found["all"]["mean"] == pytest.approx(np.mean(draws**2))
+    assert found["speed"]["rows"] == 250
+    assert (found["all"]["low"], found["all"]["high"]) == pytest.approx(band(500))
+    evaluation_tables(judged)
+    assert f"NIS, rest: {found['rest']['mean']:.3f}, 95 % band" in capsys.readouterr().err
+
+
+def test_false_alarm_rate_of_a_band() -> None:
+    assert false_alarm(40.0, None, chi2.isf(0.05, 40) / 40) == pytest.approx(0.05)
+    assert false_alarm(40.0, chi2.ppf(0.02, 40) / 40, None) == pytest.approx(0.02)
+    assert false_alarm(1e6, 0.7, 1.4) < 1e-12
+    assert false_alarm(12.0, *band(12.0)) == pytest.approx(0.05)
+
+
+def test_mean_over_runs_knows_its_scatter() -> None:
+    # 4,000 runs, each a chi-square of 6 over 6: the estimates' own relative error is about 3 %.
+    draws = np.random.default_rng(5).chisquare(6, size=4000) / 6
+    found = OverRuns.of(draws.tolist())
+    assert found.mean == pytest.approx(1.0, abs=0.04)
+    assert found.freedom == pytest.approx(6.0, rel=0.1)
+    assert found.standard_error == pytest.approx(np.sqrt(2 / 6 / 4000), rel=0.1)
+    assert (found.low, found.high) == pytest.approx((1 - 0.0179, 1 + 0.0179), abs=2e-3)
+    assert OverRuns.of([]) is None
+    assert OverRuns.of([1.2, 0.9]).standard_error is None
+    assert OverRuns.of([1.2, 1.2, 1.2]).low is None

@@ -14,11 +14,20 @@ import pytest
 from tree import ROOT, printed
 
 PACKAGES = ("factors", "graphnav")
-HEAVY = {"gtsam", "scipy", "pyarrow", "matplotlib", "pydantic", "rich"}
+HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich"}
 
 #: The floors, lowest first; a name is a module or a package with all that is in it.
 FLOORS = (
-    {"graphnav.errors", "graphnav._schema", "graphnav._memory", "graphnav.log", "graphnav.trajectory", "factors"},
+    {
+        "graphnav.errors",
+        "graphnav._schema",
+        "graphnav._memory",
+        "graphnav._stages",
+        "graphnav.methods",
+        "graphnav.log",
+        "graphnav.trajectory",
+        "factors",
+    },
     {
         "graphnav.readers",
         "graphnav.frontends",
@@ -26,11 +35,32 @@ FLOORS = (
         "graphnav.config",
         "graphnav.evaluation",
         "graphnav._metrics",
+        "graphnav._directions",
+        "graphnav._observability",
+        "graphnav._consistency",
+        "graphnav._cycles",
+        "graphnav._statistics",
     },
-    {"graphnav.keyframes", "graphnav.simulation", "graphnav.report", "graphnav.run"},
+    {
+        "graphnav.keyframes",
+        "graphnav.simulation",
+        "graphnav.report",
+        "graphnav.run",
+        "graphnav.limits",
+        "graphnav.comparison",
+        "graphnav._seeds",
+    },
     {"graphnav.graph", "graphnav.initial", "graphnav.problem", "graphnav.preintegration"},
     {"graphnav.solvers", "graphnav.observability"},
-    {"graphnav.smooth", "graphnav.outcome"},
+    {
+        "graphnav.smooth",
+        "graphnav.outcome",
+        "graphnav.solution",
+        "graphnav.filtered",
+        "graphnav.analysis",
+        "graphnav.compare",
+        "graphnav.bound",
+    },
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import SubFigure
 
+    from graphnav._cycles import CycleError
     from graphnav.evaluation import Evaluation
     from graphnav.log import Position
     from graphnav.trajectory import Trajectory
@@ -40,15 +42,20 @@ class Clock:
 
 
 def truth_errors(
-    left: SubFigure, right: SubFigure, trajectory: Trajectory, evaluation: Evaluation, clock: Clock
+    left: SubFigure,
+    right: SubFigure,
+    trajectory: Trajectory,
+    evaluation: Evaluation,
+    clock: Clock,
+    band: str = "3 sigma",
 ) -> None:
-    """Position and attitude errors against truth, cutting cycles shaded."""
+    """Position and attitude errors against truth, cutting cycles shaded; `band` says whose sigmas are drawn."""
     t_s = evaluation.t_s
     sigma = _sigma_rows(trajectory)[:, np.searchsorted(trajectory.t_s, t_s)]
     att_deg, att_sigma_deg = np.rad2deg(evaluation.att_error_b_rad), np.rad2deg(sigma[0:3])
-    _errors(left, "Position error", _ENU, clock, t_s, evaluation.error_n_m, sigma[3:6], "m")
-    _errors(right, "Attitude error", _RFU, clock, t_s, att_deg, att_sigma_deg, "deg")
-    _shade([*left.get_axes(), *right.get_axes()], evaluation, clock)
+    _errors(left, "Position error", _ENU, clock, t_s, evaluation.error_n_m, sigma[3:6], "m", band)
+    _errors(right, "Attitude error", _RFU, clock, t_s, att_deg, att_sigma_deg, "deg", band)
+    shade([*left.get_axes(), *right.get_axes()], evaluation.per_cycle, clock)
 
 
 def _errors(
@@ -60,13 +67,14 @@ def _errors(
     error: Array,
     sigma: Array,
     unit: str,
+    band_label: str = "3 sigma",
 ) -> None:
     """One panel per axis: error, and three sigmas to either side where they are known."""
     panels = figure.subplots(3, 1, sharex=True)
     for axis, (axes, name) in enumerate(zip(panels, names, strict=True)):
         band = 3 * sigma[axis]
         if np.isfinite(band).any():
-            axes.fill_between(clock(t_s), -band, band, color=BLUE, alpha=0.22, lw=0, label="3 sigma")
+            axes.fill_between(clock(t_s), -band, band, color=BLUE, alpha=0.22, lw=0, label=band_label)
         axes.axhline(0, color=BLACK, lw=0.6)
         marker = "." if len(t_s) < 500 else ""
         axes.plot(clock(t_s), error[:, axis], marker=marker, ms=3, color=ORANGE, lw=0.9, label="error")
@@ -130,10 +138,24 @@ def _plain_log_axis(axes: Axes, values: Array) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _shade(panels: list[Axes], evaluation: Evaluation, clock: Clock) -> None:
+def distribution(figure: SubFigure, evaluation: Evaluation) -> None:
+    """Share of the keyframes whose 3-D error is no larger than the abscissa, with its median, the SEP."""
+    axes = figure.subplots()
+    norms = np.sort(np.linalg.norm(evaluation.error_n_m, axis=1))
+    axes.step(norms, 100 * np.arange(1, len(norms) + 1) / len(norms), where="post", color=BLUE, lw=1.4)
+    axes.plot([0, evaluation.sep_m, evaluation.sep_m], [50, 50, 0], color=BLACK, lw=0.8, ls="--")
+    axes.annotate(f"SEP {evaluation.sep_m:.3f} m", (evaluation.sep_m, 4), xytext=(4, 0), textcoords="offset points")
+    axes.set_xlim(0, None)
+    axes.set_ylim(0, 100)
+    axes.set_title("3-D error")
+    axes.set_xlabel("Error (m)")
+    axes.set_ylabel("Keyframes below it (%)")
+
+
+def shade(panels: list[Axes], cycles: Sequence[CycleError], clock: Clock) -> None:
     """Grey spans for the cutting cycles, numbered in the top panels."""
     for axes in panels:
-        for cycle in evaluation.per_cycle:
+        for cycle in cycles:
             axes.axvspan(clock(cycle.start_s), clock(cycle.end_s), color=SHADE, lw=0, zorder=0)
             if axes.get_title(loc="left"):
                 middle = float(clock((cycle.start_s + cycle.end_s) / 2))

@@ -44,6 +44,8 @@ def plot_run(
 ) -> Path:
     """Draw a run: plan view above; below, errors over time where there is something to judge by.
 
+    Beside the plan, with truth, the distribution of the 3-D error.
+
     Parameters
     ----------
     trajectory : the estimate at its keyframes.
@@ -67,6 +69,9 @@ def plot_run(
     with rc_context(_STYLE):
         figure = Figure(figsize=(11.0, 10.5), layout="constrained")
         plan, below = _split(figure, 2, 1, height_ratios=(1.0, 1.25))
+        if evaluation is not None:
+            plan, beside = _split(plan, 1, 2, width_ratios=(3.0, 1.0))
+            panels.distribution(beside, evaluation)
         draw_plan(plan, trajectory, log, withheld)
         clock = panels.Clock(trajectory.t_s)
         if evaluation is not None:
@@ -108,8 +113,8 @@ def _headline(log: SensorLog, trajectory: Trajectory, evaluation: Evaluation | N
 
 
 def _save(figure: Figure, path: Path) -> Path:
-    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise GraphnavError(f"{path}: a picture's name ends in .png, .pdf or .svg")
+    """Write a picture, whole or not at all; `GraphnavError` if its name or place will not do."""
+    check_picture(path)
     beside = path.with_name(f".{path.stem}.writing-{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -120,3 +125,9 @@ def _save(figure: Figure, path: Path) -> Path:
     finally:
         beside.unlink(missing_ok=True)
     return path
+
+
+def check_picture(path: Path) -> None:
+    """Refuse a name whose ending is no format that is drawn."""
+    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise GraphnavError(f"{path}: a picture's name ends in .png, .pdf or .svg")

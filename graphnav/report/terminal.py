@@ -10,6 +10,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
+from graphnav._statistics import PERCENT
+
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
@@ -69,8 +71,8 @@ def say(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """A table for the user; the first column is text, the others numbers."""
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]], width: int = 120) -> None:
+    """A table for the user; the first column is text, the others numbers. `width` is for a pipe: it has none."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
@@ -82,7 +84,7 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
         grid.add_row(*(str(cell) for cell in row))
     console = Console(stderr=True)
     if not console.is_terminal:
-        console.width = 120  # a pipe has no width of its own
+        console.width = width
     console.print(title, style="bold", highlight=False)
     console.print(grid)
 
@@ -104,8 +106,11 @@ def evaluation_tables(evaluation: Evaluation) -> None:
     if evaluation.per_cycle:
         cycles = [(f"cycle {c.cycle}", f"{c.sep_m:.3f}", *_metres(c.max_m)) for c in evaluation.per_cycle]
         table("Cutting cycles", ("", "SEP (m)", "max east", "max north", "max up"), cycles)
-    say(f"NEES: position {_number(evaluation.nees_position)}, attitude {_number(evaluation.nees_attitude)}")
-    say(f"ATE: {evaluation.ate_m:.3f} m aligned, {evaluation.ate_unaligned_m:.3f} m as it stands")
+    _consistency(evaluation)
+    share = dict(zip(PERCENT, evaluation.quantiles_m, strict=True))
+    say(f"3-D error: SEP (median) {evaluation.sep_m:.3f} m, 90 % {share[90]:.3f} m, all {share[100]:.3f} m")
+    for name, ape in evaluation.ape.items():
+        say(f"APE {name}: {ape.translation_rms_m:.3f} m, {ape.rotation_rms_deg:.4f} deg rms")
     for rpe in evaluation.rpe.values():
         if rpe.translation_rms_m is not None and rpe.rotation_rms_deg is not None:
             say(
@@ -115,6 +120,17 @@ def evaluation_tables(evaluation: Evaluation) -> None:
     say(f"judged {len(evaluation.t_s)} of {evaluation.keyframes_total} keyframes")
     for note in evaluation.notes:
         say(f"note: {note}")
+
+
+def _consistency(evaluation: Evaluation) -> None:
+    """NEES and NIS with their bands."""
+    text = f"NEES: position {_number(evaluation.nees_position)}, attitude {_number(evaluation.nees_attitude)}"
+    if evaluation.nees_band is not None:
+        low, high = evaluation.nees_band["position"]
+        text += f" (1 is consistent; 95 % band {low:.2f} to {high:.2f}, the run taken for one draw)"
+    say(text)
+    for kind, nis in (evaluation.nis or {}).items():
+        say(f"NIS, {kind}: {nis['mean']:.3f}, 95 % band {nis['low']:.3f} to {nis['high']:.3f}, {nis['rows']} rows")
 
 
 def withheld_table(name: str, error: WithheldError) -> None:

@@ -51,4 +51,4 @@ def simulate(scenario: str, seed: int = 0, **options: Any) -> SensorLog:
     spec = resolve(scenario, options)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"seed = {seed!r}, expected a whole number of zero or more")
-    return simulate_shearer(scenario, spec, seed)
+    return simulate_shearer(scenario, spec, seed, options=options)

@@ -6,6 +6,7 @@ in it, and a shorter log is the start of a longer one.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from graphnav.log import (
 )
 from graphnav.simulation import sensors as sense
 from graphnav.simulation.motion import Motion
+from graphnav.simulation.naming import log_name
 from graphnav.simulation.scenarios import ShearerSpec
 from graphnav.simulation.world import Errors, World, build_world, draw_errors
 
@@ -34,15 +36,20 @@ _BLOCK = 65_536  # states worked on at a time: bounds the memory of a full shift
 _TRUTH_EVERY_SAMPLE_S = 3600.0  # longer logs carry truth at the odometer's rate
 
 
-def simulate_shearer(scenario: str, spec: ShearerSpec, seed: int, *, noise: bool = True) -> SensorLog:
-    """The log of a shearer scenario; without `noise` the sensors and the declared start are exact."""
+def simulate_shearer(
+    scenario: str, spec: ShearerSpec, seed: int, *, noise: bool = True, options: Mapping[str, Any] | None = None
+) -> SensorLog:
+    """The log of a shearer scenario; without `noise` the sensors and the declared start are exact.
+
+    `options` are those that `spec` was made with, for the name of the log.
+    """
     streams = np.random.default_rng(seed).spawn(5)
     world = build_world(spec, streams[0], streams[1])
     errors = draw_errors(spec, streams[2], 1.0 if noise else 0.0)
     imu, odometer, truth = _record(world, errors, streams[3], streams[4], 1.0 if noise else 0.0)
     face = "closed-path" in spec.sensors
     return SensorLog(
-        name=f"{scenario}_seed{seed}",
+        name=log_name(scenario, options or {}, seed),
         frames=Frames(spec.latitude_deg, spec.longitude_deg, 0.0, spec.gravity_m_s2),
         initial=_initial(world, errors),
         imu=imu,
