@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from factors.so3 import Array, to_quaternion
@@ -61,7 +63,7 @@ def _filtered(problem: Problem, method: str, stages: Stages) -> Run:
     trajectory = Trajectory(
         problem.keyframe_s, estimates.pos_n, quat, estimates.vel_n, cov if problem.config.covariance else None, bridge
     )
-    diagnostics = _diagnostics(problem, method, stages)
+    diagnostics = replace(_diagnostics(problem, method, stages), nis=innovations.to_dict())
     diagnostics.warnings.extend(_inconsistent(innovations))
     return Run(trajectory, last(known), diagnostics, problem.config, history=known, innovations=innovations)
 

@@ -48,6 +48,7 @@ class Diagnostics:
     rejected : measurements rejected, per sensor.
     warnings : one line each.
     history : per iteration: error, step in joint sigmas, damping, seconds.
+    nis : with a Kalman filter, `Innovations.to_dict`: the consistency of its innovations.
     """
 
     method: str
@@ -59,6 +60,7 @@ class Diagnostics:
     rejected: dict[str, int] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     history: list[dict[str, float]] = field(default_factory=list)
+    nis: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)

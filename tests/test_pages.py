@@ -46,7 +46,8 @@ def test_python_of_the_pages_runs(page: str, number: int, tmp_path: Path) -> Non
 
 def test_command_line_walk_of_the_readme(tmp_path: Path) -> None:
     commands = [line for block in blocks("README.md", "console") for line in block.splitlines() if line[:2] == "$ "]
-    assert {shlex.split(line)[2] for line in commands} == {"simulate", "info", "smooth", "evaluate", "import"}
+    known = {"simulate", "info", "smooth", "evaluate", "compare", "bound", "observability", "import"}
+    assert {shlex.split(line)[2] for line in commands} == known
     for line in commands:
         program, *arguments = shlex.split(line[2:], comments=True)
         assert program == "graphnav"

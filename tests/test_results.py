@@ -49,6 +49,7 @@ class MadeRun:
             seconds=dict.fromkeys(("read", "frontend", "assemble", "solve", "covariance", "total"), 0.5),
             peak_rss_mb=210.5,
             rejected={"odometer": np.int64(3)},
+            nis=None,
             warnings=("one hole of 0.7 s in imu",),
         )
     )

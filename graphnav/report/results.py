@@ -167,6 +167,8 @@ def _summary(run: RunLike, evaluation: Evaluation | None) -> dict[str, Any]:
         "rejected": known.rejected,
         "warnings": list(known.warnings),
     }
+    if known.nis is not None:
+        summary["nis"] = known.nis
     return summary if evaluation is None else {**summary, "errors": evaluation.to_dict()}
 
 

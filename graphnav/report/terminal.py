@@ -152,6 +152,9 @@ def run_summary(run: RunLike, evaluation: Evaluation | None, folder: Path) -> No
     parts = ", ".join(f"{stage} {seconds:.1f}" for stage, seconds in known.seconds.items())
     say(f"{known.method}: converged in {known.iterations} iterations, {known.keyframes} keyframes")
     say(f"seconds: {parts}; peak memory {known.peak_rss_mb:.0f} MB")
+    if known.nis is not None:
+        nis = known.nis["all"]
+        say(f"NIS {nis['mean']:.3f}, 95 % band {nis['low']:.3f} to {nis['high']:.3f}: 1 is consistent")
     if evaluation is not None:
         say(f"against truth: rms {' / '.join(_metres(evaluation.rms_m))} m east / north / up")
     for sensor, count in known.rejected.items():
