@@ -190,9 +190,7 @@ def _add_observability(group: Any) -> None:
     example = "graphnav observability shift/ --plot observability.png"
     parser = _command(group, "observability", commands.observability, text, example)
     parser.add_argument("log", type=Path, metavar="LOG", help="log folder")
-    parser.add_argument(
-        "--smoothed", action="store_true", help="each time from the whole log, not the log up to it"
-    )
+    parser.add_argument("--smoothed", action="store_true", help="each time from the whole log, not the log up to it")
     parser.add_argument("--filter", action="store_true", help="from the Kalman filter's covariances, not the graph's")
     parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults")
     parser.add_argument("--json", action="store_true", help="print JSON")

@@ -16,7 +16,7 @@ from graphnav.baselines.innovations import Innovations
 from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, MOUNTING, SCALE
 from graphnav.baselines.tape import Estimates
-from graphnav.errors import LogError, SolveError
+from graphnav.errors import LogError
 from graphnav.outcome import warnings
 from graphnav.problem import Problem
 from graphnav.run import ACCEL_NAMES, GYRO_NAMES, ODOMETER_NAMES, Calibration, CalibrationHistory, Diagnostics, Run
@@ -55,7 +55,6 @@ def _filtered(problem: Problem, method: str, stages: Stages) -> Run:
         warm_up()
     with stages.stage("solve") as tick:
         estimates, innovations = _FILTERS[method](inputs, preset, tick)
-    _refuse_divergence(estimates, problem)
     with stages.stage("covariance"):
         quat, cov = estimates.house()
         known = history(problem, estimates)
@@ -65,6 +64,8 @@ def _filtered(problem: Problem, method: str, stages: Stages) -> Run:
     )
     diagnostics = replace(_diagnostics(problem, method, stages), nis=innovations.to_dict())
     diagnostics.warnings.extend(_inconsistent(innovations))
+    if method == "rts-online" and not any(c.end_s is not None for c in inputs.cycles):
+        diagnostics.warnings.append("no cut ends in this log: nothing was smoothed: use rts")
     return Run(trajectory, last(known), diagnostics, problem.config, history=known, innovations=innovations)
 
 
@@ -126,15 +127,6 @@ def last(known: CalibrationHistory) -> dict[str, Calibration]:
 
 def _bridge(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) -> ImuBridge:
     return ImuBridge(problem.imu.samples, gyro_bias_b, accel_bias_b, problem.gravity_m_s2, problem.earth_rate_n)
-
-
-def _refuse_divergence(estimates: Estimates, problem: Problem) -> None:
-    bad = ~(np.isfinite(estimates.pos_n).all(axis=1) & np.isfinite(estimates.rotation_nb).all(axis=(1, 2)))
-    if bad.any():
-        raise SolveError(
-            f"the filter diverged at {problem.keyframe_s[int(np.argmax(bad))]:.1f} s: check the declared initial"
-            " attitude and the IMU's sigmas, or smooth with method batch"
-        )
 
 
 def _inconsistent(innovations: Innovations) -> list[str]:

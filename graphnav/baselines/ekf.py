@@ -24,9 +24,12 @@ from graphnav.baselines.measurements import FirstPass, Rows
 from graphnav.baselines.plan import Advance, advances, fixes, odometer_plan, prior_covariance, walks
 from graphnav.baselines.states import PHI, POS, SIZE, VEL, Nominal
 from graphnav.baselines.tape import AdjointMaps, Estimates
+from graphnav.errors import SolveError
 
 Progress = Callable[[float, float], None]
 
+#: No machine is as fast; a filter that says so is lost.
+_FASTEST_M_S = 1000.0
 #: Keyframes after which memory that is not needed now is let go.
 _RELEASE_EVERY = 2000
 
@@ -115,12 +118,21 @@ class Filter:
             self.maps is not None, a, c, big_c,
         )  # fmt: skip
         self.nominal = ahead.corrected(x)
+        self._refuse_divergence(i)
         reset = fed_back(ahead, self.nominal)
         self.covariance = reset @ self.covariance @ reset.T
         if self.maps is not None:
             self.maps.put(i - 1, reset @ a, c, big_c)
         self._kept.append((epoch_s[rows.epoch], rows.kind, innovation, variance))
         self._store(i, self.nominal)
+
+    def _refuse_divergence(self, i: int) -> None:
+        speed = float(np.abs(self.nominal.vel_n).max())
+        if not (speed < _FASTEST_M_S and np.isfinite(self.nominal.rotation_nb).all()):
+            raise SolveError(
+                f"the filter diverged at {self.inputs.keyframe_s[i]:.1f} s (speed {speed:.3g} m/s): look for wild"
+                " values in the imu table before that time, and check the declared initial attitude and sigmas"
+            )
 
     def _epochs(self, i: int) -> tuple[Array, npt_int]:
         """Epochs of an interval (odometer samples and the keyframe at its end), and the odometer rows among them."""

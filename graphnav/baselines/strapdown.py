@@ -3,7 +3,8 @@
 Equations: attitude ``R' = R [w]x - [Omega]x R``, velocity ``v' = R f + g - 2 Omega x v``, position ``p' = v``, as in
 Zheng et al. (2021), equation 13 without its errors. Within a sample rate and force run linearly with the slopes that
 both neighbours show, and the coning, sculling and scrolling terms are those of `factors.increments`
-(Savage 1998). The error transition is the exact first variation of that recursion, equations 13-17.
+(Savage 1998). The error transition is the first variation of that recursion, equations 13-17, to second order in a
+sample.
 """
 
 from __future__ import annotations

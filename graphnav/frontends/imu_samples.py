@@ -45,11 +45,11 @@ class ImuSamples:
         count = len(bounds_s) - 1
         bridged = self.bridged_s
         touching = bridged[(bridged[:, 1] > bounds_s[0]) & (bridged[:, 0] < bounds_s[-1])]
-        # independent holes add up in variance
+        # independent holes add up in variance; one hole's error is a constant over all of it, however it is divided
         guessed = np.zeros(count)
         for a, b in touching:
             length = np.minimum(b, bounds_s[1:]) - np.maximum(a, bounds_s[:-1])
-            guessed += np.maximum(length, 0.0) ** 2
+            guessed += np.maximum(length, 0.0) * (b - a)
         share = np.sqrt(guessed / np.diff(bounds_s))
         return np.hypot(gyro_density, self.gyro_spread * share), np.hypot(accel_density, self.accel_spread * share)
 
