@@ -99,8 +99,8 @@ def test_a_wrong_declaration_shows_in_the_innovations_and_is_told() -> None:
 def test_a_bridged_hole_widens_the_covariance(method: str) -> None:
     """Half a second without IMU in the cut of twelve logs: attitude sigmas grow, and are right a second later.
 
-    What comes after tells the smoother nearly all of it again; its sigmas may change by the few percent that linearizing
-    elsewhere does. False-alarm rate 1e-4.
+    What comes after tells the smoother nearly all of it again; its sigmas may change by the few percent that
+    linearizing elsewhere does. False-alarm rate 1e-4.
     """
     squares = []
     for seed in SEEDS:

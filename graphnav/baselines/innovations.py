@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from graphnav._consistency import band
 from graphnav._schema import Array
 
 
@@ -74,13 +75,11 @@ class Nis:
     @classmethod
     def of(cls, normalized: Array) -> Nis:
         """From normalized innovations (M,), M > 0."""
-        from scipy.stats import chi2
-
         rows = len(normalized)
-        low, high = chi2.ppf((0.025, 0.975), rows) / rows
+        low, high = band(rows)
         square = float(np.mean(normalized**2))
         lag = float(np.mean(normalized[1:] * normalized[:-1]) / square) if rows > 1 and square > 0 else 0.0
-        return cls(rows, square, float(low), float(high), lag)
+        return cls(rows, square, low, high, lag)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers; `inside` says whether the mean lies in the band."""

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from graphnav._memory import allocate
+from graphnav._memory import allocate, release
 from graphnav._schema import Record
 from graphnav.errors import LogError
 from graphnav.log import TABLES
@@ -95,8 +95,6 @@ def read_columns(cls: type[Record], path: Path, where: str) -> dict[str, npt.NDA
         raise LogError("a table with lists, expected parquet", where=where, fix=f"save it as {name}.parquet")
     rows = table.load(kinds)
     arguments = {f.name: _field(f, table, rows) for f in fields}
-    del table
-    _release_memory()
     return arguments
 
 
@@ -128,6 +126,9 @@ def _field(f: dataclasses.Field[Any], table: TableFile, rows: int) -> npt.NDArra
         for part in table.column(name, kind):
             out[start : start + len(part), j] = part
             start += len(part)
+        # a column at a time: neither arrow's copies nor what is written already need stay in memory
+        _release_memory()
+        release(out)
     return out[:, 0] if len(names) == 1 else out
 
 
