@@ -1,0 +1,164 @@
+"""LiDAR landmarks: geometry of a leg cut by the scan plane, systematic errors, Jacobians."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from jacobians import ANGLES, analytic, central, factor_jacobian, moved, random_rotation
+
+from factors import landmark, so3
+from factors.landmark import ANGLE_BIAS, ANGLE_SCALE, ANGLE_SQUARE, MOUNTING, RANGE_BIAS, RANGE_SCALE
+
+RNG_SEED = 4
+
+
+def machine(rng: np.random.Generator, tilt_rad: float = 0.1) -> tuple[np.ndarray, np.ndarray]:
+    """A pose near upright at any heading."""
+    heading = so3.exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
+    return heading @ so3.exp(rng.normal(0, tilt_rad, 3)), rng.normal(0, 30, 3)
+
+
+def systematic(rng: np.random.Generator) -> np.ndarray:
+    return rng.normal(size=8) * [1e-3, 0.05, 2e-3, 0.01, 5e-3, 0.01, 0.01, 0.01]
+
+
+def mounting(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    return so3.exp(rng.normal(0, 0.05, 3)), rng.normal(0, 0.5, 3)
+
+
+def observed(rotation, pos, leg, calibration, rotation_bs, lever) -> tuple[float, float]:
+    """What an errorless scanner with these systematic errors reads: the plane is met by bisection along the line."""
+    to_s = (so3.exp(calibration[MOUNTING]) @ rotation_bs).T
+    low, high = pos[2] - 50.0, pos[2] + 50.0
+
+    def in_s(height: float) -> np.ndarray:
+        return to_s @ (rotation.T @ (np.array([*leg, height]) - pos) - lever)
+
+    for _ in range(200):
+        middle = (low + high) / 2
+        low, high = (middle, high) if in_s(middle)[2] < 0 else (low, middle)
+    x, y, _ = in_s(low)
+    theta = np.arctan2(-x, y)
+    a1, a2, a3 = calibration[ANGLE_SQUARE], 1 + calibration[ANGLE_SCALE], calibration[ANGLE_BIAS]
+    # equation 4 of the paper
+    angle = (theta - a3) / a2 if a1 == 0 else (np.sqrt(4 * a1 * theta + a2**2 - 4 * a1 * a3) - a2) / (2 * a1)
+    return (1 + calibration[RANGE_SCALE]) * np.hypot(x, y) + calibration[RANGE_BIAS], angle
+
+
+@pytest.mark.parametrize("trial", range(20))
+def test_a_leg_where_it_stands_leaves_no_residual(trial: int) -> None:
+    rng = np.random.default_rng([RNG_SEED, trial])
+    rotation, pos = machine(rng)
+    rotation_bs, lever = mounting(rng)
+    leg, calibration = pos[:2] + rng.normal(0, 5, 2), systematic(rng)
+    reading = observed(rotation, pos, leg, calibration, rotation_bs, lever)
+    error, *_ = landmark.leg_residual(rotation, pos, leg, calibration, *map(np.asarray, reading), rotation_bs, lever)
+    assert np.abs(error).max() < 1e-11
+
+
+def test_height_does_not_matter_to_an_upright_leg_seen_from_a_level_machine() -> None:
+    heading = so3.exp(np.array([0.0, 0.0, 0.3]))
+    leg, none = np.array([3.0, 4.0]), np.zeros(8)
+    flat = [
+        landmark.leg_residual(
+            heading, np.array([0, 0, z]), leg, none, np.array(5.0), np.array(0.1), np.eye(3), np.zeros(3)
+        )[0]
+        for z in (0.0, 1.7)
+    ]
+    assert np.array_equal(flat[0], flat[1])
+    assert flat[0][0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_tilted_scan_plane_sees_a_leg_farther_away() -> None:
+    """Looking 10 degrees up, a leg 4 m away is met at 4 m / cos 10 deg."""
+    pitched = so3.exp(np.array([np.deg2rad(10.0), 0.0, 0.0]))
+    error, *_ = landmark.leg_residual(
+        pitched, np.zeros(3), np.array([0.0, 4.0]), np.zeros(8), np.array(4 / np.cos(np.deg2rad(10))), np.array(0.0),
+        np.eye(3), np.zeros(3),
+    )  # fmt: skip
+    assert np.abs(error).max() < 1e-12
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("kind", ["leg", "point"])
+def test_jacobians(kind: str, angle: float) -> None:
+    rng = np.random.default_rng([RNG_SEED, len(kind), round(angle * 1e6)])
+    heading = so3.exp(np.array([0.0, 0.0, angle]))
+    rotation, pos = heading @ so3.exp(rng.normal(0, 0.1, 3)), rng.normal(0, 20, 3)
+    (rotation_bs, lever), calibration = mounting(rng), systematic(rng)
+    function, size = (landmark.leg_residual, 2) if kind == "leg" else (landmark.point_residual, 3)
+    mark = pos[:size] + rng.normal(0, 4, size) + [4.0, *np.zeros(size - 1)]
+    reading = np.asarray(4.0), np.asarray(rng.uniform(-3, 3))
+
+    def error(rotation_, pos_, mark_, calibration_):
+        return function(rotation_, pos_, mark_, calibration_, *reading, rotation_bs, lever)[0]
+
+    _, by_pose, by_mark, by_calibration = function(rotation, pos, mark, calibration, *reading, rotation_bs, lever)
+    numeric = [
+        central(lambda d: error(*moved(rotation, pos, d), mark, calibration), 6),
+        central(lambda d: error(rotation, pos, mark + d, calibration), size),
+        central(lambda d: error(rotation, pos, mark, calibration + d), 8),
+    ]
+    for exact, differences in zip((by_pose, by_mark, by_calibration), numeric, strict=True):
+        np.testing.assert_allclose(exact, differences, atol=2e-7 * max(1.0, np.abs(differences).max()))
+
+
+def test_bearing_wraps() -> None:
+    """A leg straight behind, seen a little to either side of half a turn."""
+    for angle in (np.pi - 1e-3, -np.pi + 1e-3):
+        error, *_ = landmark.leg_residual(
+            np.eye(3), np.zeros(3), np.array([0.0, -4.0]), np.zeros(8), np.array(4.0), np.array(angle), np.eye(3),
+            np.zeros(3),
+        )  # fmt: skip
+        assert abs(error[1]) == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_broadcasts_over_many() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    poses = [machine(rng) for _ in range(5)]
+    rotation, pos = np.array([r for r, _ in poses]), np.array([p for _, p in poses])
+    (rotation_bs, lever), calibration = mounting(rng), np.array([systematic(rng) for _ in range(5)])
+    for function, size in ((landmark.leg_residual, 2), (landmark.point_residual, 3)):
+        mark, reading = pos[:, :size] + 4.0, (rng.uniform(3, 9, 5), rng.uniform(-1, 1, 5))
+        together = function(rotation, pos, mark, calibration, *reading, rotation_bs, lever)
+        for k in range(5):
+            alone = function(
+                rotation[k], pos[k], mark[k], calibration[k], reading[0][k], reading[1][k], rotation_bs, lever
+            )
+            for part, own in zip(together, alone, strict=True):
+                np.testing.assert_allclose(part[k], own, rtol=1e-12, atol=1e-12)
+
+
+def test_seen_leg_is_where_it_is_seen() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    rotation, pos = machine(rng)
+    rotation_bs, lever = mounting(rng)
+    place = landmark.seen_leg(rotation, pos, np.array(6.0), np.array(0.7), rotation_bs, lever)
+    for function, mark in ((landmark.leg_residual, place[:2]), (landmark.point_residual, place)):
+        error, *_ = function(rotation, pos, mark, np.zeros(8), np.array(6.0), np.array(0.7), rotation_bs, lever)
+        assert np.abs(error).max() < 1e-12
+
+
+def test_factor_linearizes_as_the_residual_does() -> None:
+    rng = np.random.default_rng(RNG_SEED)
+    rotation, pos = machine(rng)
+    rotation_bs, lever = mounting(rng)
+    values = gtsam.Values()
+    values.insert(0, gtsam.Pose3(gtsam.Rot3(rotation), pos))
+    values.insert(1, pos[:2] + np.array([4.0, 1.0]))
+    values.insert(2, systematic(rng))
+    factor = landmark.leg_factor(0, 1, 2, 4.2, 0.3, gtsam.noiseModel.Unit.Create(2), rotation_bs, lever)
+    jacobian, _ = analytic(factor, values)
+    np.testing.assert_allclose(jacobian, factor_jacobian(factor, values), atol=1e-7)
+
+
+def test_random_attitudes_are_not_special() -> None:
+    """The point's residual holds at any attitude, also upside down."""
+    rng = np.random.default_rng(RNG_SEED)
+    rotation, pos = random_rotation(rng), rng.normal(size=3)
+    mark = landmark.seen_leg(rotation, pos, np.array(3.0), np.array(-1.0), np.eye(3), np.zeros(3))
+    error, *_ = landmark.point_residual(
+        rotation, pos, mark, np.zeros(8), np.array(3.0), np.array(-1.0), np.eye(3), np.zeros(3)
+    )
+    assert np.abs(error).max() < 1e-12
