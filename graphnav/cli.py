@@ -123,7 +123,7 @@ def _add_import(group: Any) -> None:
 
 
 def _add_simulate(group: Any) -> None:
-    text = "Simulate a reference scenario, truth included: shearer-mems, full-shift."
+    text = "Simulate a reference scenario, truth included: shearer-mems, full-shift, shearer-lidar."
     example = "graphnav simulate shearer-mems --seed 11 -o shift/"
     parser = _command(group, "simulate", commands.simulate, text, example)
     parser.add_argument("scenario", metavar="SCENARIO")
@@ -135,6 +135,11 @@ def _add_simulate(group: Any) -> None:
     parser.add_argument("--par", type=int, metavar="N", help=added)
     parser.add_argument("--hours", type=float, metavar="H", help="full-shift: length of the log")
     parser.add_argument("--sensors", metavar="A,B,C", help="full-shift: imu,odometer,closed-path")
+    parser.add_argument("--cycles", type=int, metavar="N", help="shearer-lidar: number of cutting cycles, 1 to 6")
+    scans = "shearer-lidar: raw scans as well, around the stops at the ends of the face"
+    parser.add_argument("--scans", action="store_const", const=True, help=scans)
+    drawn = "shearer-lidar: draw the errors that are the paper's fixed values by default"
+    parser.add_argument("--draw", action="store_const", const=True, help=drawn)
 
 
 def _add_smooth(group: Any) -> None:

@@ -72,7 +72,8 @@ def simulate(arguments: argparse.Namespace) -> None:
     from graphnav.report.terminal import working
     from graphnav.simulation import simulate as simulate_log
 
-    given = {name: getattr(arguments, name) for name in ("interval_m", "par", "hours", "sensors")}
+    names = ("interval_m", "par", "hours", "sensors", "cycles", "scans", "draw")
+    given = {name: getattr(arguments, name) for name in names}
     options = {name: value for name, value in given.items() if value is not None}
     if "sensors" in options:
         options["sensors"] = tuple(name.strip() for name in options["sensors"].split(","))

@@ -137,24 +137,30 @@ def _build(cls: type[Record], arguments: Mapping[str, Any], file: str, table: st
 def _refuse_repeats(record: Record, where: str) -> None:
     """Refuse a row that repeats another in every column (a table whose rows may share times can have one)."""
     times = getattr(record, record.TIME)
-    shares = np.zeros(len(times), dtype=bool)
-    shares[1:] = times[1:] == times[:-1]
-    shares[:-1] |= shares[1:]
-    rows = np.flatnonzero(shares)
-    if len(rows) == 0:
+    steps = np.flatnonzero(times[1:] != times[:-1]) + 1
+    if len(steps) == len(times) - 1:
         return
+    # In blocks, to spare memory; rows of one time stay together, as no block ends between them.
+    ends = np.append(steps, len(times))
+    start = 0
+    while start < len(times):
+        end = int(ends[min(int(np.searchsorted(ends, start + _BLOCK_ROWS)), len(ends) - 1)])
+        _refuse_repeats_within(record, where, start, end)
+        start = end
+
+
+def _refuse_repeats_within(record: Record, where: str, start: int, end: int) -> None:
     keys = []
     for f in record.column_fields():
         values = getattr(record, f.name)
         if values is not None:
-            values = values[rows]
+            values = values[start:end]
             keys += list(values.T) if values.ndim == 2 else [_ranks(values)]
-    order = np.lexsort([rows, *reversed(keys)])
+    order = np.lexsort([np.arange(end - start), *reversed(keys)])
     same = np.logical_and.reduce([key[order][1:] == key[order][:-1] for key in keys])
     if same.any():
-        repeats = rows[order[1:][same]]
-        row = int(repeats.min())
-        problem = f"the row at {times[row]:.6f} s is there twice"
+        row = start + int(order[1:][same].min())
+        problem = f"the row at {getattr(record, record.TIME)[row]:.6f} s is there twice"
         raise LogError(problem, where=where, row=row, column=record.TIME, fix="remove duplicate rows")
 
 

@@ -1,7 +1,9 @@
 """Simulated shifts with known truth: the reference scenarios.
 
 ``simulate("shearer-mems", seed=11)`` returns a `SensorLog` with its truth; the same seed and options give the
-same log. Every error is zero-mean normal with exactly the sigma that the log declares.
+same log. Every error is zero-mean normal with exactly the sigma that the log declares, unless the scenario fixes its
+value: shearer-lidar has the fixed errors of its paper, of the size of the declared sigmas. What a log does not tell of
+the supports beside the machine is in `graphnav.simulation.supports.supports_truth`.
 """
 
 from __future__ import annotations
@@ -25,6 +27,14 @@ SCENARIOS: dict[str, dict[str, Any]] = {
         "options": {
             "hours": "length of the log, 0.02 to 7.1 (default)",
             "sensors": "imu,odometer,closed-path (default); closed-path may be left out",
+        },
+    },
+    "shearer-lidar": {
+        "description": "tactical IMU, odometer and LiDAR beside the supports of a 350 m face, 6 cutting cycles, 7.1 h",
+        "options": {
+            "cycles": "number of cutting cycles, 1 to 6 (default)",
+            "scans": "raw scans as well, in short stretches at the ends of the face and at the start",
+            "draw": "draw mounting, initial attitude and LiDAR errors in place of the paper's fixed values",
         },
     },
 }

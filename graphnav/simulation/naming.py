@@ -13,6 +13,7 @@ from typing import Any
 
 from graphnav.simulation.scenarios import BUILDERS
 
+_SAID = ("no", "yes")
 _OPTION = r"_[a-z][a-z_]*=[^_=]+"
 _NAME = re.compile(rf"(?P<scenario>[a-z0-9-]+)(?P<options>({_OPTION})*?)(_seed(?P<seed>\d+))?")
 
@@ -59,10 +60,14 @@ def _defaults(scenario: str) -> dict[str, Any]:
 
 
 def _text(value: Any) -> str:
-    if isinstance(value, float | int) and not isinstance(value, bool):
+    if isinstance(value, bool):
+        return _SAID[value]
+    if isinstance(value, float | int):
         return repr(int(value)) if float(value).is_integer() else repr(float(value))
     return str(value).replace(" ", "") if isinstance(value, str) or value is None else ",".join(value)
 
 
 def _value(text: str, default: Any) -> Any:
+    if isinstance(default, bool):
+        return bool(_SAID.index(text))  # ValueError for any other word
     return tuple(text.split(",")) if isinstance(default, tuple) else type(default)(text)

@@ -145,7 +145,14 @@ def first_line(
 
 
 def pushed_line(
-    rng: np.random.Generator, line: Line, *, push_m: float, push_sigma_m: float, roll_sigma_rad: float
+    rng: np.random.Generator,
+    line: Line,
+    *,
+    push_m: float,
+    push_sigma_m: float,
+    roll_sigma_rad: float,
+    creep_m: float | None = None,
+    forward_n: Array | None = None,
 ) -> Line:
     """The line of the next cycle: every node moved along the machine's right axis, with errors right and up.
 
@@ -153,12 +160,18 @@ def pushed_line(
     ----------
     push_m : advance per cycle.
     push_sigma_m : 1-sigma of each node's own error, to the right and up.
+    creep_m : shift of the near end along `forward_n`, the general direction of the face. All nodes move along the
+        machine's forward axis by the one length that gives it; None: no such move.
     """
     pos_n, slope, roll = line.at(line.nodes_m)
     move_m = np.zeros_like(pos_n)
     move_m[:, [0, 2]] = push_sigma_m * rng.standard_normal((len(pos_n), 2))
     move_m[:, 0] += push_m
-    moved = pos_n + attitude(slope, roll).apply(move_m)
+    rot_nm = attitude(slope, roll)
+    if creep_m is not None and forward_n is not None:
+        towards_m = forward_n @ rot_nm[0].as_matrix()
+        move_m[:, 1] = (creep_m - towards_m[[0, 2]] @ move_m[0, [0, 2]]) / towards_m[1]
+    moved = pos_n + rot_nm.apply(move_m)
     return Line(line.nodes_m, _spline(line.nodes_m, moved), _roll(rng, line.nodes_m[-1], roll_sigma_rad))
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from graphnav.errors import ConfigError
+from graphnav.simulation.lidar_figures import LidarSpec
 
 Triple = tuple[float, float, float]
 
@@ -51,6 +52,11 @@ class ShearerSpec:
     slip_sigma_m_s: float
     scale_sigma: float
     mounting_sigma_deg: Triple
+    mounting_deg: Triple | None = None  # the odometer's mounting; None: drawn
+    att_error_deg: Triple | None = None  # of the declared initial attitude; None: drawn
+    creep_m: tuple[float, ...] = ()  # of the near end along the face, push by push
+    creep_sigma_m: float = 0.0
+    lidar: LidarSpec | None = None
     interval_m: float = 2.0
     sensors: tuple[str, ...] = ("imu", "odometer", "closed-path")
     vel_sigma_m_s: float = 0.01
@@ -110,6 +116,20 @@ FULL_SHIFT = ShearerSpec(
     mounting_sigma_deg=(0.72 / 60, 0.001, 20.3 / 60),  # the paper's 0 is declared as 0.001 deg
 )
 
+#: The paper's traverse lies along north and the two horizontal errors of its tables are along and across the face. Its
+#: residual errors, right, forward, up: of the initial attitude ``[-0.18', 0.13', -20.9']`` in ``(I - phi x)``, of the
+#: odometer's mounting ``[-0.72', 0, 20.3']`` from m to b. This project's angles are their negatives: the declared
+#: attitude is the true one turned by ``Exp(att_error)``, and ``v_m = Exp(mounting) v_b``.
+LIDAR = replace(
+    FULL_SHIFT,
+    heading_deg=0.0,
+    att_error_deg=(0.18 / 60, -0.13 / 60, 20.9 / 60),
+    mounting_deg=(0.72 / 60, 0.0, -20.3 / 60),
+    creep_m=(-0.176, -0.225, -0.175, -0.225, -0.175),
+    creep_sigma_m=0.3,
+    lidar=LidarSpec(),
+)
+
 #: The paper's Table 2: error settings added on top, by number (0 adds nothing).
 ADDED_ERRORS: tuple[ImuGrade, ...] = (
     ImuGrade(0, 0, 0, 0),
@@ -145,7 +165,23 @@ def full_shift(hours: float = MAX_HOURS, sensors: str | Iterable[str] = SENSORS)
     return replace(FULL_SHIFT, duration_s=3600.0 * hours, sensors=chosen)
 
 
-BUILDERS: Mapping[str, Callable[..., ShearerSpec]] = {"shearer-mems": shearer_mems, "full-shift": full_shift}
+def shearer_lidar(cycles: int = 6, scans: bool = False, draw: bool = False) -> ShearerSpec:
+    """`shearer-lidar`, its first `cycles`, with raw scans, and with drawn errors in place of the paper's values."""
+    if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= LIDAR.cycles:
+        raise ConfigError(f"cycles = {cycles!r}, expected a whole number 1 to {LIDAR.cycles}")
+    for name, value in (("scans", scans), ("draw", draw)):
+        if not isinstance(value, bool):
+            raise ConfigError(f"{name} = {value!r}, expected True or False")
+    duration_s = LIDAR.duration_s if cycles == LIDAR.cycles else None
+    spec = replace(LIDAR, cycles=cycles, duration_s=duration_s, lidar=LidarSpec(scans=scans, draw=draw))
+    return replace(spec, att_error_deg=None, mounting_deg=None) if draw else spec
+
+
+BUILDERS: Mapping[str, Callable[..., ShearerSpec]] = {
+    "shearer-mems": shearer_mems,
+    "full-shift": full_shift,
+    "shearer-lidar": shearer_lidar,
+}
 
 
 def resolve(scenario: str, options: Mapping[str, Any]) -> ShearerSpec:

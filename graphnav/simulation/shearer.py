@@ -27,8 +27,9 @@ from graphnav.log import (
 from graphnav.simulation import sensors as sense
 from graphnav.simulation.motion import Motion
 from graphnav.simulation.naming import log_name
+from graphnav.simulation.scanner import Scanner
 from graphnav.simulation.scenarios import ShearerSpec
-from graphnav.simulation.world import Errors, World, build_world, draw_errors
+from graphnav.simulation.world import Errors, Streams, World, build_world, draw_errors, streams
 
 Array = npt.NDArray[np.float64]
 
@@ -43,10 +44,11 @@ def simulate_shearer(
 
     `options` are those that `spec` was made with, for the name of the log.
     """
-    streams = np.random.default_rng(seed).spawn(5)
-    world = build_world(spec, streams[0], streams[1])
-    errors = draw_errors(spec, streams[2], 1.0 if noise else 0.0)
-    imu, odometer, truth = _record(world, errors, streams[3], streams[4], 1.0 if noise else 0.0)
+    of, on = streams(seed), 1.0 if noise else 0.0
+    world = build_world(spec, of.geometry, of.machine)
+    errors = draw_errors(spec, of.errors, on)
+    scanner = None if spec.lidar is None else Scanner(world, spec.lidar, of, on)
+    imu, odometer, truth = _record(world, errors, of, on, scanner)
     face = "closed-path" in spec.sensors
     return SensorLog(
         name=log_name(scenario, options or {}, seed),
@@ -58,13 +60,14 @@ def simulate_shearer(
         surveyed=_surveyed(world, errors, by_end=face),
         events=_events(world),
         truth=truth,
+        **({} if scanner is None else scanner.tables()),
     )
 
 
 def _record(
-    world: World, errors: Errors, imu_rng: np.random.Generator, odo_rng: np.random.Generator, on: float
+    world: World, errors: Errors, of: Streams, on: float, scanner: Scanner | None
 ) -> tuple[Imu, Odometer, Truth]:
-    """All tables, block by block; white noise times `on`."""
+    """All tables, block by block, and what the scanner sees; white noise times `on`."""
     spec, count = world.spec, world.count
     every = spec.imu_rate_hz // spec.odometer_rate_hz
     truth_every = 1 if count <= _TRUTH_EVERY_SAMPLE_S * spec.imu_rate_hz else every
@@ -76,16 +79,19 @@ def _record(
         t_s, motion, rot_nm = world.states(first, last)
         rot_nb = world.body(rot_nm)
         clean = _clean_samples(spec, motion, rot_nb)
-        gyro_b[first:last], accel_b[first:last] = _corrupt(spec, clean, errors, imu_rng, on)
+        gyro_b[first:last], accel_b[first:last] = _corrupt(spec, clean, errors, of.imu, on)
         instants = np.arange(first, last + 1)
         new = (instants > first) | (first == 0)  # a block's first state is the last one of the block before
         speeds.append(sense.forward_speed(motion, rot_nm)[new & (instants % every == 0) & (instants > 0)])
         keep = new & (instants % truth_every == 0)
         quat = rot_nb[keep].as_quat(scalar_first=True)
         rows.append((t_s[keep], motion.pos_n[keep], quat, motion.vel_n[keep]))
+        if scanner is not None:
+            scans = new & (instants % scanner.every == 0) & (instants > 0)
+            scanner.add(t_s[scans], motion.pos_n[scans], rot_nb[scans])
     imu_t_s = np.arange(1, count + 1) / spec.imu_rate_hz
     speed = (1 + errors.odometer_scale) * np.concatenate(speeds)
-    speed += on * spec.odometer_sigma_m_s * odo_rng.standard_normal(len(speed))
+    speed += on * spec.odometer_sigma_m_s * of.odometer.standard_normal(len(speed))
     return (
         Imu(imu_t_s, gyro_b, accel_b, **vars(spec.imu)),
         Odometer(
@@ -138,7 +144,7 @@ def _face(spec: ShearerSpec) -> Face:
         push_sigma_m=spec.push_sigma_m,
         along_sigma_m=spec.along_sigma_m,
         creep_m=0.0,
-        creep_sigma_m=0.0,
+        creep_sigma_m=spec.creep_sigma_m,
         interval_m=spec.interval_m,
     )
 

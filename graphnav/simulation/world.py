@@ -6,8 +6,8 @@ machine. `Errors` holds what the sensors and the people at the start got wrong.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,26 @@ from graphnav.simulation.path import Line, first_line, pushed_line
 from graphnav.simulation.scenarios import ShearerSpec
 
 Array = npt.NDArray[np.float64]
+
+
+class Streams(NamedTuple):
+    """One random stream for each kind of draw: new kinds come last, so that logs of before stay as they were."""
+
+    geometry: np.random.Generator
+    machine: np.random.Generator
+    errors: np.random.Generator
+    imu: np.random.Generator
+    odometer: np.random.Generator
+    supports: np.random.Generator
+    lidar: np.random.Generator
+    points: np.random.Generator
+    roadways: np.random.Generator
+    scans: np.random.Generator
+
+
+def streams(seed: int) -> Streams:
+    """The random streams of a log."""
+    return Streams(*np.random.default_rng(seed).spawn(len(Streams._fields)))
 
 
 @dataclass(frozen=True)
@@ -82,7 +102,7 @@ def build_world(spec: ShearerSpec, geometry: np.random.Generator, machine: np.ra
             roll_sigma_rad=roll_sigma,
         )
     ]
-    for _ in range(1, spec.cycles):
+    for push in range(spec.cycles - 1):
         lines.append(
             pushed_line(
                 geometry,
@@ -90,6 +110,8 @@ def build_world(spec: ShearerSpec, geometry: np.random.Generator, machine: np.ra
                 push_m=spec.push_m,
                 push_sigma_m=spec.push_sigma_m,
                 roll_sigma_rad=roll_sigma,
+                creep_m=creep_of(spec, push),
+                forward_n=face_frame(spec)[:, 1],
             )
         )
     timeline = face_timeline(
@@ -106,6 +128,8 @@ def build_world(spec: ShearerSpec, geometry: np.random.Generator, machine: np.ra
     duration_s = timeline.end_s + spec.tail_s if spec.duration_s is None else spec.duration_s
     count = round(duration_s * spec.imu_rate_hz)
     mounting = np.deg2rad(spec.mounting_sigma_deg) * machine.standard_normal(3)
+    if spec.mounting_deg is not None:
+        mounting = np.deg2rad(spec.mounting_deg)
     sigma_rad = spec.slip_sigma_m_s / spec.speed_m_s
     return World(
         spec,
@@ -116,13 +140,24 @@ def build_world(spec: ShearerSpec, geometry: np.random.Generator, machine: np.ra
     )
 
 
+def creep_of(spec: ShearerSpec, push: int) -> float | None:
+    """Shift of the near end along the face (m) with push 0, 1, ...; None for none."""
+    return spec.creep_m[push] if push < len(spec.creep_m) else None
+
+
+def face_frame(spec: ShearerSpec) -> Array:
+    """Level axes of the face (right: the way of the push, forward: towards the far end, up) in n, ``(3, 3)``."""
+    sin, cos = np.sin(np.deg2rad(spec.heading_deg)), np.cos(np.deg2rad(spec.heading_deg))
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
 def draw_errors(spec: ShearerSpec, rng: np.random.Generator, on: float) -> Errors:
-    """Draw with the sigmas that the log declares, times `on` (0: none)."""
+    """Draw with the sigmas that the log declares, times `on` (0: none); what the scenario fixes is drawn in vain."""
 
     def draw(sigma: Any) -> Array:
         return on * np.broadcast_to(np.asarray(sigma, float), 3) * rng.standard_normal(3)
 
-    return Errors(
+    drawn = Errors(
         gyro_bias_rad_s=draw(sense.gyro_si(spec.imu.gyro_bias_deg_h)),
         accel_bias_m_s2=draw(sense.accel_si(spec.imu.accel_bias_mg)),
         odometer_scale=float(on * spec.scale_sigma * rng.standard_normal()),
@@ -131,3 +166,4 @@ def draw_errors(spec: ShearerSpec, rng: np.random.Generator, on: float) -> Error
         initial_vel_m_s=draw(spec.vel_sigma_m_s),
         survey_m=draw(spec.survey_sigma_m),
     )
+    return drawn if spec.att_error_deg is None else replace(drawn, initial_att_rad=on * np.deg2rad(spec.att_error_deg))
