@@ -97,6 +97,16 @@ class Isam2Config(_Section):
     threshold_gyro_bias_rad_s: float = Field(1e-3, gt=0)
 
 
+class LidarConfig(_Section):
+    """Support legs as landmarks."""
+
+    use: bool = True
+    window_s: float = Field(5.0, gt=0, description="detections of a leg within this span become one")
+    window_m: float = Field(0.5, gt=0, description="and no farther apart than the machine goes")
+    together_m: float = Field(0.002, gt=0, description="error of bringing them together by gyro and odometer")
+    lean_sigma_deg: float = Field(10.0, gt=0, description="how far from upright a leg may stand")
+
+
 class FilterConfig(_Section):
     """The error-state Kalman filter of the methods ekf, rts and rts-online."""
 
@@ -123,6 +133,7 @@ class Config(_Section):
     rest: RestConfig = RestConfig()
     closed_path: ClosedPathConfig = ClosedPathConfig()
     position: PositionConfig = PositionConfig()
+    lidar: LidarConfig = LidarConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()

@@ -143,6 +143,9 @@ def _inconsistent(innovations: Innovations) -> list[str]:
 
 def _diagnostics(problem: Problem, method: str, stages: Stages) -> Diagnostics:
     problem.imu.release()
+    unused = []
+    if problem.log.lidar_points is not None and problem.config.lidar.use:
+        unused.append(f"{method} does not use the table lidar_points: batch and isam2 do")
     return Diagnostics(
         method=method,
         converged=True,
@@ -150,5 +153,5 @@ def _diagnostics(problem: Problem, method: str, stages: Stages) -> Diagnostics:
         keyframes=len(problem.keyframe_s),
         seconds=stages.total(),
         peak_rss_mb=peak_bytes() / 1e6,
-        warnings=warnings(problem, False),
+        warnings=warnings(problem, False) + unused,
     )

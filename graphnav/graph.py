@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import closed_path, inertial, odometry, position, stationary
+from factors import closed_path, inertial, landmark, odometry, position, stationary
 from factors.noise import diagonal
-from factors.so3 import from_quaternion
+from factors.so3 import Array, from_quaternion
+from graphnav.legs import LegReadings
+from graphnav.log import Lidar
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
+from graphnav.problem import B, C, D, K, L, Problem, V, X, creep_cycles
 
 if TYPE_CHECKING:
     import gtsam
@@ -31,23 +33,49 @@ class SmoothingGraph:
 
     native: gtsam.NonlinearFactorGraph
     displacements: odometry.DisplacementFamily | None
+    legs: landmark.LegFamily | None = None
 
     def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
         """Whitened linear factors of everything."""
         linear = self.native.linearize(values)
         if self.displacements is not None:
             self.displacements.linearize_into(linear, values)
+        if self.legs is not None:
+            self.legs.linearize_into(linear, values)
         return linear
 
 
-def build_graph(problem: Problem, data: Preintegrated) -> SmoothingGraph:
+def build_graph(problem: Problem, data: Preintegrated, legs: LegReadings | None = None) -> SmoothingGraph:
     """The problem for a batch solver."""
     import gtsam
 
     native = gtsam.NonlinearFactorGraph()
     for found in _common_factors(problem, data):
         native.add(found.factor)
-    return SmoothingGraph(native, displacement_family(problem, data))
+    family = None
+    if legs is not None and problem.log.lidar is not None:
+        family = legs.family(problem.log.lidar)
+        native.add(gtsam.PriorFactorVector(D(0), np.zeros(8), diagonal(lidar_sigmas(problem.log.lidar))))
+        lean = np.tan(np.radians(problem.config.lidar.lean_sigma_deg))
+        anywhere = diagonal([1e4, 1e4, lean, lean])
+        for j in range(len(legs.feature)):
+            native.add(gtsam.PriorFactorVector(L(j), np.zeros(4), anywhere))
+    return SmoothingGraph(native, displacement_family(problem, data), family)
+
+
+def lidar_sigmas(lidar: Lidar) -> Array:
+    """Declared sigmas (8,) of the LiDAR's calibration; what is not declared is held."""
+    degree = np.pi / 180
+    declared = [
+        lidar.range_scale_sigma,
+        lidar.range_bias_sigma_m,
+        None if lidar.angle_bias_sigma_deg is None else lidar.angle_bias_sigma_deg * degree,
+        lidar.angle_scale_sigma,
+        None if lidar.angle_quadratic_sigma_per_deg is None else lidar.angle_quadratic_sigma_per_deg / degree,
+    ]
+    mounting = np.zeros(3) if lidar.mounting_sigma_deg is None else lidar.mounting_sigma_deg * degree
+    sigmas = np.array([0.0 if value is None else value for value in declared] + mounting.tolist())
+    return np.asarray(np.maximum(sigmas, 1e-7))
 
 
 def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:

@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array, to_quaternion
-from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
-from graphnav.run import ACCEL_NAMES, DEG_H, GYRO_NAMES, MG, ODOMETER_NAMES, Calibration, CalibrationHistory
+from graphnav.problem import B, C, D, K, Problem, V, X, creep_cycles
+from graphnav.run import (
+    ACCEL_NAMES,
+    DEG_H,
+    GYRO_NAMES,
+    LIDAR_NAMES,
+    MG,
+    ODOMETER_NAMES,
+    Calibration,
+    CalibrationHistory,
+)
 from graphnav.solvers.batch import BatchResult
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.trajectory import ImuBridge, Trajectory
@@ -19,7 +28,7 @@ if TYPE_CHECKING:
     import gtsam
 
 #: Sizes of the variables by the letter of their key.
-_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1}
+_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1, "l": 4, "d": 8}
 
 
 def covariances(
@@ -34,6 +43,8 @@ def covariances(
         groups[last] = (last,)
     for c in creep_cycles(problem):
         groups[K(c)] = (K(c),)
+    if result.values.exists(D(0)):
+        groups[D(0)] = (D(0),)
     assert result.bayes_tree is not None
     return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
 
@@ -88,6 +99,8 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
         put(key, values.atVector(key), ODOMETER_NAMES)
     key = B(int(problem.bias_epoch[-1]))
     put(key, values.atConstantBias(key).vector(), [*ACCEL_NAMES, *GYRO_NAMES])
+    if values.exists(D(0)):
+        put(D(0), values.atVector(D(0)), LIDAR_NAMES)
     for c in creep_cycles(problem):
         put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
     return found

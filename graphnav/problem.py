@@ -47,6 +47,16 @@ def K(c: int) -> int:
     return _symbol("k", c)
 
 
+def L(j: int) -> int:
+    """Key of the place of leg j."""
+    return _symbol("l", j)
+
+
+def D(e: int) -> int:
+    """Key of the LiDAR calibration in epoch e."""
+    return _symbol("d", e)
+
+
 def _symbol(letter: str, index: int) -> int:
     # gtsam.symbol without its call overhead: a letter in the top byte
     return (ord(letter) << 56) | index

@@ -26,6 +26,16 @@ ODOMETER_NAMES = [
     *((f"odometer_mounting_{axis}", DEGREE, "deg") for axis in ("right", "forward", "up")),
 ]
 
+#: The LiDAR's, in the order of `factors.landmark`.
+LIDAR_NAMES = [
+    ("lidar_range_scale", 1.0, "1"),
+    ("lidar_range_bias", 1.0, "m"),
+    ("lidar_angle_bias", DEGREE, "deg"),
+    ("lidar_angle_scale", 1.0, "1"),
+    ("lidar_angle_quadratic", 1 / DEGREE, "1/deg"),
+    *((f"lidar_mounting_{axis}", DEGREE, "deg") for axis in ("right", "forward", "up")),
+]
+
 
 @dataclass(frozen=True)
 class Calibration:

@@ -15,9 +15,10 @@ from graphnav._memory import release
 from graphnav._stages import Stages
 from graphnav.graph import build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
+from graphnav.legs import LegReadings, condense
 from graphnav.outcome import estimated_biases
 from graphnav.preintegration import Preintegrated, preintegrate
-from graphnav.problem import Problem
+from graphnav.problem import D, L, Problem
 from graphnav.solvers import absolute, batch, incremental
 
 if TYPE_CHECKING:
@@ -83,7 +84,8 @@ def _solve_rounds(
     history: list[batch.Iteration] = []
     for round_ in range(config.bias_move_rounds):
         with stages.stage("assemble"):
-            graph = build_graph(problem, data)
+            readings = _leg_readings(problem, data, values)
+            graph = build_graph(problem, data, readings)
             for factor in predicted:
                 graph.native.add(factor)
         with stages.stage("solve") as tick:
@@ -106,6 +108,18 @@ def _solve_rounds(
             values = result.values
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
     return Solved(result, data, moved)
+
+
+def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -> LegReadings | None:
+    """LiDAR readings condensed at the poses in `values`, to which the legs' places and the calibration are added."""
+    if problem.log.lidar_points is None or problem.log.lidar is None or not problem.config.lidar.use:
+        return None
+    readings = condense(problem, values, data.gyro_bias_b, data.accel_bias_b)
+    if not values.exists(D(0)):
+        values.insert(D(0), np.zeros(8))
+        for j, place_n in enumerate(readings.place_n):
+            values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
+    return readings
 
 
 def _preintegrate(

@@ -27,13 +27,13 @@ def mounting(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return so3.exp(rng.normal(0, 0.05, 3)), rng.normal(0, 0.5, 3)
 
 
-def observed(rotation, pos, leg, calibration, rotation_bs, lever) -> tuple[float, float]:
+def observed(rotation, pos, leg, height, calibration, rotation_bs, lever) -> tuple[float, float]:
     """What an errorless scanner with these systematic errors reads: the plane is met by bisection along the line."""
     to_s = (so3.exp(calibration[MOUNTING]) @ rotation_bs).T
     low, high = pos[2] - 50.0, pos[2] + 50.0
 
-    def in_s(height: float) -> np.ndarray:
-        return to_s @ (rotation.T @ (np.array([*leg, height]) - pos) - lever)
+    def in_s(at: float) -> np.ndarray:
+        return to_s @ (rotation.T @ (np.array([*(leg[:2] + leg[2:] * (at - height)), at]) - pos) - lever)
 
     for _ in range(200):
         middle = (low + high) / 2
@@ -51,18 +51,21 @@ def test_a_leg_where_it_stands_leaves_no_residual(trial: int) -> None:
     rng = np.random.default_rng([RNG_SEED, trial])
     rotation, pos = machine(rng)
     rotation_bs, lever = mounting(rng)
-    leg, calibration = pos[:2] + rng.normal(0, 5, 2), systematic(rng)
-    reading = observed(rotation, pos, leg, calibration, rotation_bs, lever)
-    error, *_ = landmark.leg_residual(rotation, pos, leg, calibration, *map(np.asarray, reading), rotation_bs, lever)
+    leg, calibration = np.r_[pos[:2] + rng.normal(0, 5, 2), rng.normal(0, 0.2, 2)], systematic(rng)
+    height = pos[2] + rng.normal()
+    reading = observed(rotation, pos, leg, height, calibration, rotation_bs, lever)
+    error, *_ = landmark.leg_residual(
+        rotation, pos, leg, calibration, *map(np.asarray, (*reading, height)), rotation_bs, lever
+    )
     assert np.abs(error).max() < 1e-11
 
 
 def test_height_does_not_matter_to_an_upright_leg_seen_from_a_level_machine() -> None:
     heading = so3.exp(np.array([0.0, 0.0, 0.3]))
-    leg, none = np.array([3.0, 4.0]), np.zeros(8)
+    leg, none = np.array([3.0, 4.0, 0.0, 0.0]), np.zeros(8)
     flat = [
         landmark.leg_residual(
-            heading, np.array([0, 0, z]), leg, none, np.array(5.0), np.array(0.1), np.eye(3), np.zeros(3)
+            heading, np.array([0, 0, z]), leg, none, np.array(5.0), np.array(0.1), np.array(0.5), np.eye(3), np.zeros(3)
         )[0]
         for z in (0.0, 1.7)
     ]
@@ -74,8 +77,8 @@ def test_a_tilted_scan_plane_sees_a_leg_farther_away() -> None:
     """Looking 10 degrees up, a leg 4 m away is met at 4 m / cos 10 deg."""
     pitched = so3.exp(np.array([np.deg2rad(10.0), 0.0, 0.0]))
     error, *_ = landmark.leg_residual(
-        pitched, np.zeros(3), np.array([0.0, 4.0]), np.zeros(8), np.array(4 / np.cos(np.deg2rad(10))), np.array(0.0),
-        np.eye(3), np.zeros(3),
+        pitched, np.zeros(3), np.array([0.0, 4.0, 0.0, 0.0]), np.zeros(8), np.array(4 / np.cos(np.deg2rad(10))),
+        np.array(0.0), np.array(0.0), np.eye(3), np.zeros(3),
     )  # fmt: skip
     assert np.abs(error).max() < 1e-12
 
@@ -87,9 +90,12 @@ def test_jacobians(kind: str, angle: float) -> None:
     heading = so3.exp(np.array([0.0, 0.0, angle]))
     rotation, pos = heading @ so3.exp(rng.normal(0, 0.1, 3)), rng.normal(0, 20, 3)
     (rotation_bs, lever), calibration = mounting(rng), systematic(rng)
-    function, size = (landmark.leg_residual, 2) if kind == "leg" else (landmark.point_residual, 3)
-    mark = pos[:size] + rng.normal(0, 4, size) + [4.0, *np.zeros(size - 1)]
-    reading = np.asarray(4.0), np.asarray(rng.uniform(-3, 3))
+    reading = [np.asarray(4.0), np.asarray(rng.uniform(-3, 3))]
+    if kind == "leg":
+        function, mark = landmark.leg_residual, np.r_[pos[:2] + rng.normal(0, 4, 2) + [4.0, 0.0], rng.normal(0, 0.2, 2)]
+        reading.append(np.asarray(pos[2] + rng.normal()))
+    else:
+        function, mark = landmark.point_residual, pos + rng.normal(0, 4, 3) + [4.0, 0.0, 0.0]
 
     def error(rotation_, pos_, mark_, calibration_):
         return function(rotation_, pos_, mark_, calibration_, *reading, rotation_bs, lever)[0]
@@ -97,7 +103,7 @@ def test_jacobians(kind: str, angle: float) -> None:
     _, by_pose, by_mark, by_calibration = function(rotation, pos, mark, calibration, *reading, rotation_bs, lever)
     numeric = [
         central(lambda d: error(*moved(rotation, pos, d), mark, calibration), 6),
-        central(lambda d: error(rotation, pos, mark + d, calibration), size),
+        central(lambda d: error(rotation, pos, mark + d, calibration), len(mark)),
         central(lambda d: error(rotation, pos, mark, calibration + d), 8),
     ]
     for exact, differences in zip((by_pose, by_mark, by_calibration), numeric, strict=True):
@@ -108,8 +114,8 @@ def test_bearing_wraps() -> None:
     """A leg straight behind, seen a little to either side of half a turn."""
     for angle in (np.pi - 1e-3, -np.pi + 1e-3):
         error, *_ = landmark.leg_residual(
-            np.eye(3), np.zeros(3), np.array([0.0, -4.0]), np.zeros(8), np.array(4.0), np.array(angle), np.eye(3),
-            np.zeros(3),
+            np.eye(3), np.zeros(3), np.array([0.0, -4.0, 0.0, 0.0]), np.zeros(8), np.array(4.0), np.array(angle),
+            np.array(0.0), np.eye(3), np.zeros(3),
         )  # fmt: skip
         assert abs(error[1]) == pytest.approx(1e-3, rel=1e-6)
 
@@ -119,13 +125,14 @@ def test_broadcasts_over_many() -> None:
     poses = [machine(rng) for _ in range(5)]
     rotation, pos = np.array([r for r, _ in poses]), np.array([p for _, p in poses])
     (rotation_bs, lever), calibration = mounting(rng), np.array([systematic(rng) for _ in range(5)])
-    for function, size in ((landmark.leg_residual, 2), (landmark.point_residual, 3)):
-        mark, reading = pos[:, :size] + 4.0, (rng.uniform(3, 9, 5), rng.uniform(-1, 1, 5))
+    legs = np.column_stack([pos[:, :2] + 4.0, rng.normal(0, 0.2, (5, 2))])
+    planar = [rng.uniform(3, 9, 5), rng.uniform(-1, 1, 5)]
+    cases = ((landmark.leg_residual, legs, [*planar, pos[:, 2]]), (landmark.point_residual, pos + 4.0, planar))
+    for function, mark, reading in cases:
         together = function(rotation, pos, mark, calibration, *reading, rotation_bs, lever)
         for k in range(5):
-            alone = function(
-                rotation[k], pos[k], mark[k], calibration[k], reading[0][k], reading[1][k], rotation_bs, lever
-            )
+            own = [part[k] for part in reading]
+            alone = function(rotation[k], pos[k], mark[k], calibration[k], *own, rotation_bs, lever)
             for part, own in zip(together, alone, strict=True):
                 np.testing.assert_allclose(part[k], own, rtol=1e-12, atol=1e-12)
 
@@ -135,9 +142,12 @@ def test_seen_leg_is_where_it_is_seen() -> None:
     rotation, pos = machine(rng)
     rotation_bs, lever = mounting(rng)
     place = landmark.seen_leg(rotation, pos, np.array(6.0), np.array(0.7), rotation_bs, lever)
-    for function, mark in ((landmark.leg_residual, place[:2]), (landmark.point_residual, place)):
-        error, *_ = function(rotation, pos, mark, np.zeros(8), np.array(6.0), np.array(0.7), rotation_bs, lever)
-        assert np.abs(error).max() < 1e-12
+    reading, none = (np.array(6.0), np.array(0.7)), np.zeros(8)
+    leg = np.r_[place[:2], 0.1, -0.1]
+    error, *_ = landmark.leg_residual(rotation, pos, leg, none, *reading, place[2], rotation_bs, lever)
+    assert np.abs(error).max() < 1e-12
+    error, *_ = landmark.point_residual(rotation, pos, place, none, *reading, rotation_bs, lever)
+    assert np.abs(error).max() < 1e-12
 
 
 def test_factor_linearizes_as_the_residual_does() -> None:
@@ -146,9 +156,9 @@ def test_factor_linearizes_as_the_residual_does() -> None:
     rotation_bs, lever = mounting(rng)
     values = gtsam.Values()
     values.insert(0, gtsam.Pose3(gtsam.Rot3(rotation), pos))
-    values.insert(1, pos[:2] + np.array([4.0, 1.0]))
+    values.insert(1, np.r_[pos[:2] + np.array([4.0, 1.0]), 0.1, 0.2])
     values.insert(2, systematic(rng))
-    factor = landmark.leg_factor(0, 1, 2, 4.2, 0.3, gtsam.noiseModel.Unit.Create(2), rotation_bs, lever)
+    factor = landmark.leg_factor(0, 1, 2, 4.2, 0.3, float(pos[2]), gtsam.noiseModel.Unit.Create(2), rotation_bs, lever)
     jacobian, _ = analytic(factor, values)
     np.testing.assert_allclose(jacobian, factor_jacobian(factor, values), atol=1e-7)
 

@@ -1,0 +1,132 @@
+"""LiDAR legs as landmarks in the graph: positions, calibration, creep of information, and what is left out of use."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from graphnav._stages import Stages
+from graphnav.config import Config
+from graphnav.evaluation import evaluate
+from graphnav.graph import lidar_sigmas
+from graphnav.log import SensorLog
+from graphnav.run import Run
+from graphnav.simulation.lidar import draw_lidar_errors
+from graphnav.simulation.lidar_figures import LidarSpec
+from graphnav.simulation.scenarios import LIDAR
+from graphnav.simulation.shearer import simulate_shearer
+from graphnav.simulation.world import streams
+from graphnav.smooth import posed, smooth
+from graphnav.solution import _leg_readings, solve_batch
+
+#: Two cuts of 30 m at three times the speed, every error drawn.
+SPEC = replace(
+    LIDAR, length_m=30.0, cycles=2, speed_m_s=0.3, static_s=20.0, tail_s=1.0, pause_s=3.0, retreat_m=24.0,
+    crossing_m=20.0, end_work_s=None, duration_s=None, att_error_deg=None, mounting_deg=None,
+    lidar=LidarSpec(draw=True),
+)  # fmt: skip
+SEEDS = range(4)
+
+
+@cache
+def log(seed: int = 0) -> SensorLog:
+    return simulate_shearer("legs", SPEC, seed)
+
+
+@cache
+def run(seed: int = 0, use: bool = True, method: str = "batch") -> Run:
+    config = Config.from_dict({"lidar": {"use": use}})
+    return smooth(replace(log(seed), truth=None), config, method)
+
+
+def drawn(seed: int) -> dict[str, float]:
+    """What the scanner's calibration truly is, in the units of `Run.calibration`."""
+    e = draw_lidar_errors(SPEC.lidar, streams(seed).lidar, 1.0)
+    return {"lidar_range_scale": e.range_scale, "lidar_range_bias": e.range_bias_m}
+
+
+def rms(seed: int, use: bool) -> np.ndarray:
+    return evaluate(run(seed, use).trajectory, log(seed)).rms_m
+
+
+def test_legs_bring_the_position_closer() -> None:
+    """On average over the seeds, horizontally, where legs tell something."""
+    with_legs, without = (np.mean([rms(seed, use)[:2] ** 2 for seed in SEEDS]) ** 0.5 for use in (True, False))
+    assert with_legs < 0.7 * without
+
+
+def test_position_sigmas_are_right() -> None:
+    """NEES at the end of the log, one draw a seed; false-alarm rate 1e-3."""
+    squares = 0.0
+    for seed in SEEDS:
+        judged = evaluate(run(seed).trajectory, log(seed))
+        error, cov = judged.error_n_m[-1], run(seed).trajectory.cov[-1, 3:6, 3:6]
+        squares += float(error @ np.linalg.solve(cov, error))
+    low, high = stats.chi2.interval(1 - 1e-3, 3 * len(SEEDS))
+    assert low < squares < high
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_range_calibration_is_found(seed: int) -> None:
+    """Within 4.5 sigma (false-alarm rate 1e-5 each), and the bias far better than declared."""
+    found = run(seed).calibration
+    for name, truth in drawn(seed).items():
+        assert abs(found[name].value - truth) < 4.5 * found[name].sigma
+    assert found["lidar_range_bias"].sigma < 0.2 * log(seed).lidar.range_bias_sigma_m
+
+
+def test_nothing_is_lost_in_condensing() -> None:
+    """Every detection within the record is in one reading, and no reading mixes legs."""
+    problem = posed(replace(log(), truth=None), Config(), Stages(None))
+    solved = solve_batch(problem, Stages(None))
+    readings = _leg_readings(problem, solved.data, solved.result.values)
+    points = log().lidar_points
+    assert readings is not None
+    assert readings.count.sum() == len(points)
+    assert np.array_equal(readings.feature, np.unique(points.feature))
+    assert len(readings.leg) < len(points) / 20
+
+
+def test_residuals_are_of_the_declared_size() -> None:
+    """Chi-square of the readings by their number less what was estimated: between a fifth and 1.3.
+
+    Below 1, since two millimetres are allowed for bringing a reading's detections together.
+    """
+    problem = posed(replace(log(), truth=None), Config(), Stages(None))
+    solved = solve_batch(problem, Stages(None))
+    readings = _leg_readings(problem, solved.data, solved.result.values)
+    error, *_ = readings.family(log().lidar).residuals(solved.result.values)
+    freedom = error.size - 4 * len(readings.feature)
+    assert 0.2 < float((error**2).sum()) / freedom < 1.3
+
+
+def test_isam2_ends_where_batch_does() -> None:
+    """But for where the detections were brought together: at dead reckoning, or at iSAM2's estimate."""
+    apart = run(0, True, "isam2").trajectory.pos_n - run(0).trajectory.pos_n
+    sigma = np.sqrt(np.diagonal(run(0).trajectory.cov, axis1=1, axis2=2)[:, 3:6])
+    assert (np.abs(apart) / sigma).max() < 0.3
+
+
+def test_without_use_it_is_as_if_not_recorded() -> None:
+    bare = dataclasses.replace(log(), truth=None, lidar=None, lidar_points=None)
+    assert np.array_equal(smooth(bare).trajectory.pos_n, run(0, False).trajectory.pos_n)
+
+
+def test_filters_say_that_they_do_not_use_it() -> None:
+    warnings = run(0, True, "ekf").diagnostics.warnings
+    assert any("lidar_points" in line for line in warnings)
+
+
+def test_declared_sigmas_in_si() -> None:
+    lidar = log().lidar
+    sigmas = lidar_sigmas(lidar)
+    assert sigmas[0] == lidar.range_scale_sigma and sigmas[1] == lidar.range_bias_sigma_m
+    assert sigmas[2] == pytest.approx(np.radians(lidar.angle_bias_sigma_deg))
+    assert sigmas[4] == pytest.approx(lidar.angle_quadratic_sigma_per_deg * 180 / np.pi)
+    held = lidar_sigmas(lidar.replace(range_scale_sigma=None, mounting_sigma_deg=None))
+    assert held[0] == 1e-7 and (held[5:] == 1e-7).all()
