@@ -24,6 +24,7 @@ IMPORTERS = {
     "comma2k19": ("graphnav.readers.comma2k19", ("wheel_scale",)),
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
+    "lego": ("graphnav.readers.lego", ()),
 }
 
 
