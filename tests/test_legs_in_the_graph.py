@@ -122,6 +122,11 @@ def test_filters_say_that_they_do_not_use_it() -> None:
     assert any("lidar_points" in line for line in warnings)
 
 
+def test_a_scanner_that_is_not_declared_is_named() -> None:
+    found = smooth(dataclasses.replace(log(), truth=None, lidar=None)).diagnostics.warnings
+    assert any("[lidar]" in line for line in found)
+
+
 def test_declared_sigmas_in_si() -> None:
     lidar = log().lidar
     sigmas = lidar_sigmas(lidar)
