@@ -108,12 +108,17 @@ def _sigma(problem: Problem, lidar: Lidar, range_m: Array, count: npt_int) -> Ar
 
 
 def _centres(keyframe_s: Array, window_s: float) -> npt_int:
-    """Keyframes about `window_s` apart."""
+    """Keyframes about `window_s` apart; the middle one of a record that is shorter."""
     wanted = np.arange(keyframe_s[0] + window_s / 2, keyframe_s[-1], window_s)
+    if not len(wanted):
+        wanted = keyframe_s[[0, -1]].mean(keepdims=True)
     return np.unique(_nearest(keyframe_s, wanted))
 
 
 def _nearest(grid: Array, t_s: Array) -> npt_int:
+    """Index of the nearest entry of an ascending grid for every time."""
+    if len(grid) == 1:
+        return np.zeros(len(t_s), np.int64)
     right = np.clip(np.searchsorted(grid, t_s), 1, len(grid) - 1)
     return np.asarray(np.where(t_s - grid[right - 1] < grid[right] - t_s, right - 1, right), dtype=np.int64)
 

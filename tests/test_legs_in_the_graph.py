@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from graphnav import legs
 from graphnav._stages import Stages
 from graphnav.config import Config
 from graphnav.evaluation import evaluate
@@ -125,6 +126,14 @@ def test_filters_say_that_they_do_not_use_it() -> None:
 def test_a_scanner_that_is_not_declared_is_named() -> None:
     found = smooth(dataclasses.replace(log(), truth=None, lidar=None)).diagnostics.warnings
     assert any("[lidar]" in line for line in found)
+
+
+def test_windows_of_a_record_shorter_than_one() -> None:
+    keyframe_s = np.array([0.0, 1.0, 2.0])
+    centre = legs._centres(keyframe_s, 10.0)
+    assert centre.tolist() == [1]
+    assert legs._nearest(keyframe_s[centre], np.array([0.0, 1.9])).tolist() == [0, 0]
+    assert legs._centres(np.arange(11.0), 4.0).tolist() == [2, 6]
 
 
 def test_declared_sigmas_in_si() -> None:
