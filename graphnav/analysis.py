@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from graphnav._observability import Observability
 from graphnav._stages import ProgressHook, Stages
 from graphnav.config import Config
+from graphnav.legs import refuse_legs
 from graphnav.log import SensorLog
 from graphnav.observability import of_filter, of_graph
 from graphnav.smooth import posed
@@ -32,12 +34,15 @@ def observe(
 
     Raises
     ------
-    LogError, ConfigError : bad input.
+    LogError, ConfigError : bad input, or LiDAR legs, which it does not take into account yet.
     SolveError : a variable without information, by name.
     """
     stages = Stages(progress)
+    if isinstance(log, SensorLog):
+        log = replace(log, truth=None)
     problem = posed(log, config or Config(), stages)
     if source == "graph":
+        refuse_legs(problem, "observability of the graph")
         solved = solve_batch(problem, stages)
         with stages.stage("covariance") as tick:
             return of_graph(problem, solved.data, solved.result.values, causal=kind == "causal", progress=tick)

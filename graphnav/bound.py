@@ -27,6 +27,7 @@ from graphnav.config import Config
 from graphnav.errors import ConfigError, GraphnavError
 from graphnav.evaluation import evaluate
 from graphnav.graph import build_graph
+from graphnav.legs import refuse_legs
 from graphnav.limits import Bound
 from graphnav.log import SensorLog, Truth
 from graphnav.outcome import covariances, estimated_biases, smoothed_trajectory
@@ -73,6 +74,7 @@ def bound(log: SensorLog | str | Path, config: Config | None = None, progress: P
         raise GraphnavError(f"log {log.name} has no truth table to linearise at; add truth.parquet or truth.csv")
     stages = Stages(progress)
     problem = posed(replace(log, truth=None), config, stages)
+    refuse_legs(problem, "the bound")
     pos, quat, vel = _true_states(log.name, log.truth, problem.keyframe_s)
     solved = solve_batch(problem, stages)
     estimate = smoothed_trajectory(problem, solved.result.values, None)

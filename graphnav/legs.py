@@ -17,6 +17,7 @@ from factors import landmark, so3
 from factors.increments import npt_int
 from factors.landmark import seen_leg
 from factors.so3 import Array, from_quaternion, to_quaternion
+from graphnav.errors import ConfigError
 from graphnav.log import Lidar, LidarPoints
 from graphnav.problem import D, L, Problem, X
 from graphnav.trajectory import ImuBridge, Trajectory
@@ -56,6 +57,25 @@ class LegReadings:
             self.place_n[self.leg, 2], self.off_plane_m, self.sigma, from_quaternion(lidar.T_bs_quat_wxyz),
             lidar.T_bs_pos_m,
         )  # fmt: skip
+
+
+def uses_legs(problem: Problem) -> bool:
+    """Whether legs take part: detections, a declared scanner, and the wish to use them."""
+    log = problem.log
+    return log.lidar_points is not None and log.lidar is not None and problem.config.lidar.use
+
+
+def refuse_legs(problem: Problem, what: str) -> None:
+    """Refuse what would silently leave the LiDAR out.
+
+    Raises
+    ------
+    ConfigError : the problem has legs.
+    """
+    if uses_legs(problem):
+        raise ConfigError(
+            f"{what} does not take LiDAR legs into account yet: set lidar.use = false for it without them"
+        )
 
 
 def condense(problem: Problem, values: gtsam.Values, gyro_bias_b: Array, accel_bias_b: Array) -> LegReadings:

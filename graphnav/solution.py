@@ -15,7 +15,7 @@ from graphnav._memory import release
 from graphnav._stages import Stages
 from graphnav.graph import build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
-from graphnav.legs import LegReadings, condense
+from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.outcome import estimated_biases
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem
@@ -94,6 +94,7 @@ def _solve_rounds(
                 values,
                 max_iterations=config.max_iterations,
                 tolerance_sigma=config.tolerance_sigma,
+                landmarks=readings is not None,
                 progress=tick,
             )
             if problem.config.closed_path.form == "absolute" and not predicted:
@@ -112,7 +113,7 @@ def _solve_rounds(
 
 def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -> LegReadings | None:
     """LiDAR readings condensed at the poses in `values`, to which the legs' places and the calibration are added."""
-    if problem.log.lidar_points is None or problem.log.lidar is None or not problem.config.lidar.use:
+    if not uses_legs(problem):
         return None
     readings = condense(problem, values, data.gyro_bias_b, data.accel_bias_b)
     if not values.exists(D(0)):

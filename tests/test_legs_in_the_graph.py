@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import graphnav as gn
 from graphnav import legs
 from graphnav._stages import Stages
 from graphnav.config import Config
+from graphnav.errors import ConfigError
 from graphnav.evaluation import evaluate
 from graphnav.graph import lidar_sigmas
 from graphnav.log import SensorLog
@@ -126,6 +128,15 @@ def test_filters_say_that_they_do_not_use_it() -> None:
 def test_a_scanner_that_is_not_declared_is_named() -> None:
     found = smooth(dataclasses.replace(log(), truth=None, lidar=None)).diagnostics.warnings
     assert any("[lidar]" in line for line in found)
+
+
+def test_what_cannot_take_them_into_account_says_so() -> None:
+    bare = Config.from_dict({"lidar": {"use": False}})
+    for ask in (gn.bound, gn.observe):
+        with pytest.raises(ConfigError, match=r"LiDAR legs into account yet: set lidar\.use = false"):
+            ask(log())
+    assert gn.bound(log(), bare).overall.bound_3d_m > 0
+    assert len(gn.observe(log(), bare).t_s) > 10
 
 
 def test_windows_of_a_record_shorter_than_one() -> None:

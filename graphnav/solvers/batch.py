@@ -25,7 +25,7 @@ _MAX_DAMPING = 1e8
 #: From a step this short on, elimination is by QR: the next one is probably the last.
 _NEAR_SIGMAS = 30.0
 #: The same where landmarks hold the chain: Cholesky is accurate there, and QR takes ten times as long.
-_NEAR_SIGMAS_TIED = 0.1
+_NEAR_SIGMAS_LANDMARKS = 0.1
 #: Diagonal entries of R this much smaller than their clique's largest are round-off.
 _RANK = 1e-12
 
@@ -71,9 +71,12 @@ def solve(
     *,
     max_iterations: int = 25,
     tolerance_sigma: float = 0.01,
+    landmarks: bool = False,
     progress: Callable[[float, float], None] | None = None,
 ) -> BatchResult:
     """Minimise the graph's error from the given values.
+
+    With `landmarks` many keyframes share variables, which decides the ordering and how soon QR takes over.
 
     Convergence rule: stop after a step whose joint Mahalanobis length, ``sqrt(delta' H delta)`` over all variables,
     is at most `tolerance_sigma`: what is left is that small a part of one standard deviation. A step that raises the
@@ -85,8 +88,8 @@ def solve(
     """
     iterations: list[Iteration] = []
     linear = graph.linearize(values)
-    tied = getattr(graph, "legs", None) is not None
-    ordering, near_sigmas = _ordering(linear, tied), _NEAR_SIGMAS_TIED if tied else _NEAR_SIGMAS
+    ordering = _ordering(linear, landmarks)
+    near_sigmas = _NEAR_SIGMAS_LANDMARKS if landmarks else _NEAR_SIGMAS
     error = linear.error(values.zeroVectors())
     if not np.isfinite(error):
         raise SolveError("the error is not finite at the start: check the log for impossible values")
@@ -125,11 +128,11 @@ def solve(
     return BatchResult(values, tree, tuple(iterations), converged, order)
 
 
-def _ordering(linear: gtsam.GaussianFactorGraph, tied: bool) -> gtsam.Ordering:
+def _ordering(linear: gtsam.GaussianFactorGraph, landmarks: bool) -> gtsam.Ordering:
     """Nested dissection where landmarks tie many keyframes together: a quarter of the cost there, no gain on chains."""
     import gtsam
 
-    if tied:
+    if landmarks:
         return gtsam.Ordering.MetisGaussianFactorGraph(linear)
     return gtsam.Ordering.ColamdGaussianFactorGraph(linear)
 
