@@ -31,10 +31,10 @@ def param(
     positive: bool = False,
     nonnegative: bool = False,
     shape: tuple[int, ...] = (),
-    kind: Literal["float", "str"] = "float",
+    kind: Literal["float", "int", "str"] = "float",
     items: type | None = None,
 ) -> Any:
-    """A key of a log.toml section: a number, an array of `shape`, a string or a list of `items`."""
+    """A key of a log.toml section: a number, an array of `shape`, a whole number, a string or a list of `items`."""
     meta = {
         "param": True,
         "positive": positive,
@@ -161,6 +161,10 @@ def _check_param(record: Record, f: dataclasses.Field[Any], value: Any) -> Any:
         if not isinstance(value, str):
             raise record.error(f"{value!r}, expected text", column=f.name)
         return value
+    if meta["kind"] == "int":
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+            raise record.error(f"{value!r}, expected a whole number", column=f.name)
+        return int(value)
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):

@@ -9,11 +9,11 @@ import numpy as np
 
 from factors import closed_path, inertial, landmark, odometry, position, stationary
 from factors.noise import diagonal
-from factors.so3 import Array, from_quaternion
+from factors.so3 import from_quaternion
+from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings
-from graphnav.log import Lidar
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import B, C, D, K, L, Problem, V, X, creep_cycles
+from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
 
 if TYPE_CHECKING:
     import gtsam
@@ -55,27 +55,10 @@ def build_graph(problem: Problem, data: Preintegrated, legs: LegReadings | None 
     family = None
     if legs is not None and problem.log.lidar is not None:
         family = legs.family(problem.log.lidar)
-        native.add(gtsam.PriorFactorVector(D(0), np.zeros(8), diagonal(lidar_sigmas(problem.log.lidar))))
-        lean = np.tan(np.radians(problem.config.lidar.lean_sigma_deg))
-        anywhere = diagonal([1e4, 1e4, lean, lean])
-        for j in range(len(legs.feature)):
-            native.add(gtsam.PriorFactorVector(L(j), np.zeros(4), anywhere))
+        lean = float(np.tan(np.radians(problem.config.lidar.lean_sigma_deg)))
+        for prior in leg_priors(problem.log.lidar, legs.feature, legs.place_n[:, 2], lean):
+            native.add(prior)
     return SmoothingGraph(native, displacement_family(problem, data), family)
-
-
-def lidar_sigmas(lidar: Lidar) -> Array:
-    """Declared sigmas (8,) of the LiDAR's calibration; what is not declared is held."""
-    degree = np.pi / 180
-    declared = [
-        lidar.range_scale_sigma,
-        lidar.range_bias_sigma_m,
-        None if lidar.angle_bias_sigma_deg is None else lidar.angle_bias_sigma_deg * degree,
-        lidar.angle_scale_sigma,
-        None if lidar.angle_quadratic_sigma_per_deg is None else lidar.angle_quadratic_sigma_per_deg / degree,
-    ]
-    mounting = np.zeros(3) if lidar.mounting_sigma_deg is None else lidar.mounting_sigma_deg * degree
-    sigmas = np.array([0.0 if value is None else value for value in declared] + mounting.tolist())
-    return np.asarray(np.maximum(sigmas, 1e-7))
 
 
 def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:

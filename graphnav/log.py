@@ -236,6 +236,16 @@ class LidarScans(Record):
 
 
 @dataclass(frozen=True, eq=False)
+class Landmark(Record):
+    """A surveyed point of the leg that `feature` stands for; the sigma is that of east and of north."""
+
+    SECTION: ClassVar[str] = "lidar.landmark"
+    feature: int = param(kind="int")
+    pos_n_m: Array = param(shape=(3,))
+    sigma_m: float = param(positive=True)
+
+
+@dataclass(frozen=True, eq=False)
 class Lidar(Record):
     """Declared geometry and errors of the LiDAR."""
 
@@ -252,11 +262,17 @@ class Lidar(Record):
     angle_quadratic_sigma_per_deg: float | None = param(None, positive=True)
     feature_spacing_m: float | None = param(None, positive=True)
     leg_diameter_m: float | None = param(None, positive=True)
+    landmark: tuple[Landmark, ...] = param((), items=Landmark)
     time_offset_s: float = param(0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         unit_quaternion(self, "T_bs_quat_wxyz")
+        seen: set[int] = set()
+        for mark in self.landmark:
+            if mark.feature in seen:
+                raise self.error(f"feature {mark.feature} is there twice", column="landmark", fix="keep one of them")
+            seen.add(mark.feature)
 
 
 @dataclass(frozen=True, eq=False)

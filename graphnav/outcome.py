@@ -17,9 +17,11 @@ from graphnav.run import (
     ODOMETER_NAMES,
     Calibration,
     CalibrationHistory,
+    Stops,
 )
 from graphnav.solvers.batch import BatchResult
 from graphnav.solvers.covariance import joint_marginals
+from graphnav.solvers.joint_keys import joint_covariance
 from graphnav.trajectory import ImuBridge, Trajectory
 
 if TYPE_CHECKING:
@@ -47,6 +49,30 @@ def covariances(
         groups[D(0)] = (D(0),)
     assert result.bayes_tree is not None
     return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
+
+
+def stops(problem: Problem, result: BatchResult) -> Stops | None:
+    """The states at both ends of every cut, with their joint covariance; None where there is no cut."""
+    ends = np.array([t for c in problem.frontend.cycles for t in (c.start_s, c.end_s) if t is not None])
+    rows = np.flatnonzero(np.isclose(problem.keyframe_s[:, None], ends, rtol=0, atol=1e-6).any(axis=1))
+    if not len(rows):
+        return None
+    scanner = result.values.exists(D(0))
+    keys = [X(int(i)) for i in rows] + [D(0)] * scanner
+    assert result.bayes_tree is not None
+    cov = joint_covariance(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], keys)
+    poses = [result.values.atPose3(X(int(i))) for i in rows]
+    to_n = np.eye(len(cov))
+    for k, pose in enumerate(poses):
+        # GTSAM's position perturbation is in the body frame
+        to_n[6 * k + 3 : 6 * k + 6, 6 * k + 3 : 6 * k + 6] = pose.rotation().matrix()
+    return Stops(
+        problem.keyframe_s[rows],
+        np.array([pose.translation() for pose in poses]),
+        np.array([pose.rotation().matrix() for pose in poses]),
+        result.values.atVector(D(0)) if scanner else np.zeros(0),
+        to_n @ cov @ to_n.T,
+    )
 
 
 def smoothed_trajectory(problem: Problem, values: gtsam.Values, blocks: dict[int, Array] | None) -> Trajectory:

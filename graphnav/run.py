@@ -90,6 +90,29 @@ class CalibrationHistory:
     sigma: Array | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Stops:
+    """Where the machine stood at both ends of every cut, with the covariance of all these states together.
+
+    The trajectory's covariances are those of one keyframe each; what is said of the difference of two places, hours
+    apart, needs what they have in common: the survey, the first position, the heading.
+
+    Attributes
+    ----------
+    t_s : ``(S,)`` ascending.
+    pos_n, rot_nb : ``(S, 3)`` m and ``(S, 3, 3)``.
+    scanner : ``(8,)`` the LiDAR's calibration, as in `factors.landmark`; ``(0,)`` where it was not estimated.
+    cov : ``(6 S + 8, 6 S + 8)`` or ``(6 S, 6 S)``: for each stop attitude (body, right perturbation, rad) and position
+        (n, m), then the scanner.
+    """
+
+    t_s: Array
+    pos_n: Array
+    rot_nb: Array
+    scanner: Array
+    cov: Array
+
+
 @dataclass(frozen=True)
 class Run:
     """A smoothed trajectory with calibration and diagnostics.
@@ -103,6 +126,7 @@ class Run:
     causal : with iSAM2, the trajectory of causal estimates (each keyframe from the past alone); else None.
     history : the calibration over time.
     innovations : with a Kalman filter, those of its forward pass; else None.
+    stops : from a graph with covariances, the ends of the cuts and their joint covariance; else None.
     """
 
     trajectory: Trajectory
@@ -112,6 +136,7 @@ class Run:
     causal: Trajectory | None = None
     history: CalibrationHistory | None = None
     innovations: Innovations | None = None
+    stops: Stops | None = None
 
     def save(self, folder: str | Path, **options: Any) -> None:
         """Write the result files to a folder, whole or not at all."""

@@ -21,7 +21,7 @@ from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, METHODS
-from graphnav.outcome import calibration, covariances, history, smoothed_trajectory, warnings
+from graphnav.outcome import calibration, covariances, history, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.run import Diagnostics, Run
 from graphnav.solution import Solved, solve_batch, solve_isam2
@@ -87,9 +87,10 @@ def _by_graph(problem: Problem, method: str, stages: Stages) -> Run:
         )
     with stages.stage("covariance") as tick:
         blocks = covariances(problem, solved.result, tick) if problem.config.covariance else None
+        ends = stops(problem, solved.result) if problem.config.covariance else None
         # half a gigabyte for a shift, and of no further use
         solved.result = replace(solved.result, bayes_tree=None)
-    return _report(problem, solved, blocks, method, stages)
+    return replace(_report(problem, solved, blocks, method, stages), stops=ends)
 
 
 def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, method: str, stages: Stages) -> Run:

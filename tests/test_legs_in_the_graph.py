@@ -16,7 +16,7 @@ from graphnav._stages import Stages
 from graphnav.config import Config
 from graphnav.errors import ConfigError
 from graphnav.evaluation import evaluate
-from graphnav.graph import lidar_sigmas
+from graphnav.leg_priors import lidar_sigmas
 from graphnav.log import SensorLog
 from graphnav.run import Run
 from graphnav.simulation.lidar import draw_lidar_errors

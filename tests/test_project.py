@@ -50,7 +50,14 @@ FLOORS = (
         "graphnav.comparison",
         "graphnav._seeds",
     },
-    {"graphnav.graph", "graphnav.legs", "graphnav.initial", "graphnav.problem", "graphnav.preintegration"},
+    {
+        "graphnav.graph",
+        "graphnav.legs",
+        "graphnav.leg_priors",
+        "graphnav.initial",
+        "graphnav.problem",
+        "graphnav.preintegration",
+    },
     {"graphnav.solvers", "graphnav.observability"},
     {
         "graphnav.smooth",

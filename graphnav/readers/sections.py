@@ -129,6 +129,10 @@ def _param(f: dataclasses.Field[Any], value: Any, where: str) -> Any:
         if not isinstance(value, str):
             raise LogError(f"{_show(value)}, expected text", where=where, column=f.name, fix="put it in quotes")
         return value
+    if f.metadata["kind"] == "int":
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise LogError(f"{_show(value)}, expected a whole number", where=where, column=f.name)
+        return value
     shape = f.metadata["shape"]
     what = f"an array of {' x '.join(map(str, shape))} numbers" if shape else "a number"
     if not _has_shape(value, shape):
@@ -198,11 +202,13 @@ def _dump_params(record: Record) -> list[str]:
 
 
 def _toml(value: Any) -> str:
-    """A TOML value: text, a number with every digit, or nested lists of numbers."""
+    """A TOML value: text, a whole number, a number with every digit, or nested lists of numbers."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, (np.ndarray, tuple, list)):
         return f"[{', '.join(_toml(v) for v in value)}]"
+    if isinstance(value, int):
+        return str(value)
     return repr(float(value))
 
 
