@@ -52,6 +52,7 @@ FLOORS = (
     },
     {
         "graphnav.graph",
+        "graphnav.chain_graph",
         "graphnav.legs",
         "graphnav.leg_priors",
         "graphnav.initial",
@@ -64,6 +65,7 @@ FLOORS = (
         "graphnav.outcome",
         "graphnav.solution",
         "graphnav.filtered",
+        "graphnav.chained",
         "graphnav.analysis",
         "graphnav.compare",
         "graphnav.bound",
