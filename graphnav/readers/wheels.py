@@ -25,6 +25,7 @@ def wheel_motions(
     sigma_side_m: Array | float,
     sigma_turn_rad: Array | float,
     axle_b_m: Array | tuple[float, float, float] = (0.0, 0.0, 0.0),
+    yaw_rad: float = 0.0,
 ) -> RelativePose:
     """Motions of the body along arcs, in the log format's default camera axes.
 
@@ -33,6 +34,7 @@ def wheel_motions(
     t_s : (M+1,) s; forward_m, turn_rad : (M,) way along the arc and turn counter-clockwise between these times.
     sigma_forward_m, sigma_side_m, sigma_turn_rad : (M,) or common, of the axle's motion.
     axle_b_m : (3,) the middle of the axle, which does not move sideways, in b.
+    yaw_rad : direction in which the wheels roll, counter-clockwise from b's forward axis.
     """
     count = len(forward_m)
     turn = np.column_stack([np.zeros((count, 2)), turn_rad])
@@ -44,7 +46,7 @@ def wheel_motions(
         so3.exp(turn), (so3.left_jacobian(turn) @ chord[..., None])[..., 0], sigma[:, :, None] ** 2 * np.eye(6)
     )
     rotation_bc, pos_bc = camera_mounting(None)
-    of_body = seen_from(of_axle, np.eye(3), np.asarray(axle_b_m, float))
+    of_body = seen_from(of_axle, so3.exp(np.array([0.0, 0.0, yaw_rad])), np.asarray(axle_b_m, float))
     of_camera = seen_from(of_body, rotation_bc.T, -rotation_bc.T @ pos_bc)
     return RelativePose(
         t_from_s=t_s[:-1],
