@@ -61,7 +61,7 @@ def smooth(
         from graphnav.chained import run_chain
 
         return run_chain(log, config or Config(), method, stages)
-    problem = posed(log, config or Config(), stages)
+    problem = _posed(log, config or Config(), stages)
     if method in GRAPH_METHODS:
         return _by_graph(problem, method, stages)
     from graphnav.filtered import run_baseline
@@ -71,7 +71,10 @@ def smooth(
 
 def posed(log: SensorLog | str | Path, config: Config, stages: Stages) -> Problem:
     """Read and check a log, find cycles and rest, place the keyframes."""
-    log = _opened(log, stages)
+    return _posed(_opened(log, stages), config, stages)
+
+
+def _posed(log: SensorLog, config: Config, stages: Stages) -> Problem:
     with stages.stage("frontend"):
         rest = rest_spans(log)
         refuse_wrong_units(log, rest)
@@ -81,11 +84,11 @@ def posed(log: SensorLog | str | Path, config: Config, stages: Stages) -> Proble
 
 def _opened(log: SensorLog | str | Path, stages: Stages) -> SensorLog:
     """The log; one that is read here loses its truth, which is for judging alone."""
-    if isinstance(log, SensorLog):
-        return log
-    from graphnav.readers import read
-
     with stages.stage("read"):
+        if isinstance(log, SensorLog):
+            return log
+        from graphnav.readers import read
+
         return replace(read(log), truth=None)
 
 
