@@ -120,7 +120,7 @@ def between_factor(key_i: int, key_j: int, rotation: Array, pos: Array, cov: Arr
     """
     import gtsam
 
-    noise = gtsam.noiseModel.Gaussian.Covariance(cov)
+    noise = gtsam.noiseModel.Gaussian.Covariance(cov, False)  # never "smart": see factors.noise
     return gtsam.BetweenFactorPose3(key_i, key_j, gtsam.Pose3(gtsam.Rot3(rotation), pos), noise)
 
 

@@ -57,6 +57,8 @@ class Corrections:
     laser_delay_s: float = 0.0
 
 
+#: None of them.
+AS_RECORDED = Corrections()
 #: Found once in the first 200 s of each: what stands reads the same number in hundreds of rows; the rest by least
 #: squares of wheels against laser among the known tubes. No truth was used (docs/real-data.md).
 CORRECTIONS = {
@@ -71,7 +73,7 @@ def convert(
     dataset: int = 2,
     landmarks: Literal["known", "unknown"] = "known",
     interval_s: float = 1.0,
-    as_recorded: bool = False,
+    corrections: Corrections | None = None,
 ) -> SensorLog:
     """Convert a recording.
 
@@ -82,7 +84,8 @@ def convert(
     landmarks : "known" declares the file's places of the tubes as surveyed, "unknown" leaves them to be estimated.
     interval_s : least time between laser scans that are taken over. Scans less than a second apart repeat each other's
         errors (docs/real-data.md), which are declared as independent; 0.1 takes all.
-    as_recorded : leave the `CORRECTIONS` out, and no systematic errors of the laser declared.
+    corrections : by default `CORRECTIONS`; `AS_RECORDED` for none, which declares no systematic errors of the laser's
+        ranges either.
 
     Returns
     -------
@@ -103,9 +106,9 @@ def convert(
     if not interval_s > 0:
         raise LogError(f"interval_s {interval_s}, expected a time above zero", fix="0.1 takes every scan")
     mat = MatFile.first_of(Path(source), _NAMES[dataset])
-    known = Corrections() if as_recorded else CORRECTIONS[dataset]
+    known = CORRECTIONS[dataset] if corrections is None else corrections
     parts = (_line if dataset == 1 else _floor)(mat, known, interval_s)
-    systematic = not as_recorded and dataset == 2
+    systematic = known != AS_RECORDED and dataset == 2
     lidar = parts.lidar.replace(
         landmark=_surveyed(parts.places) if landmarks == "known" else (),
         range_bias_sigma_m=_RANGE_BIAS_M if systematic else None,
