@@ -51,26 +51,27 @@ def seen_places(run: Run, log: SensorLog) -> dict[int, Array]:
 def residuals(run: Run, log: SensorLog) -> tuple[Array, Array, Array]:
     """Times (K,), leg numbers (K,) and what is left of range (m) and bearing (rad) of surveyed legs (K, 2)."""
     assert log.lidar is not None and log.lidar_points is not None
-    feature, range_m, angle_rad, (rotation, pos) = _readings(run, log)
-    t_s = log.lidar_points.t_s[_inside(run, log)]
     places = {mark.feature: mark.pos_n_m for mark in log.lidar.landmark}
-    place = np.array([places[int(j)] for j in feature])
+    feature, range_m, angle_rad, (rotation, pos) = _readings(run, log)
+    known = np.isin(feature, list(places))
+    place = np.array([places[int(j)] for j in feature[known]])
     scanner = np.array([run.calibration[name].value * size for name, size, _ in LIDAR_NAMES])
     line = np.column_stack([place[:, :2], np.zeros((len(place), 2))])
     left = leg_residual(
-        rotation, pos, line, np.broadcast_to(scanner, (len(line), 8)), range_m, angle_rad, place[:, 2], *_mounting(log)
-    )
-    return t_s, feature, left[0]
+        rotation[known], pos[known], line, np.broadcast_to(scanner, (len(line), 8)), range_m[known], angle_rad[known],
+        place[:, 2], *_mounting(log),
+    )  # fmt: skip
+    return log.lidar_points.t_s[_inside(run, log)][known], feature[known], left[0]
 
 
-def repeated(t_s: Array, feature: Array, left: Array, lag_s: float) -> float:
-    """Correlation of what is left (K,) with what is left of the same leg `lag_s` later."""
+def repeated(t_s: Array, feature: Array, left: Array, lag_s: float, near_s: float = 2e-3) -> float:
+    """Correlation of what is left (K,) with what is left of the same leg `lag_s` later, give or take `near_s`."""
     product = power = 0.0
     for j in np.unique(feature):
         own = feature == j
         t, x = t_s[own], left[own] - left[own].mean()
-        later = np.clip(np.searchsorted(t, t + lag_s - 1e-3), 0, len(t) - 1)
-        pair = np.abs(t[later] - t - lag_s) < 2e-3
+        later = np.clip(np.searchsorted(t, t + lag_s - near_s), 0, len(t) - 1)
+        pair = np.abs(t[later] - t - lag_s) <= near_s
         product += float((x[pair] * x[later[pair]]).sum())
         power += float((x[pair] ** 2 + x[later[pair]] ** 2).sum()) / 2
     return product / power

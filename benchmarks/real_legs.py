@@ -36,7 +36,8 @@ LEGO_MM = Target(high=30.0)
 MATCH_M = 0.15
 #: What the landmark file is off the scans (docs/legs.md).
 PLACE_SIGMA_M = 0.02
-LAGS_S = (0.1, 1.0, 5.0)
+LAGS_S, LEGO_LAGS_S = (0.1, 1.0, 5.0), (0.2, 1.0, 2.0)
+SELDOM_S = 2.0
 
 
 def smoothed(log: SensorLog, use_legs: bool = True) -> Run:
@@ -84,12 +85,7 @@ def every_scan_rows(folder: Path) -> list[Row]:
     log = aer1513.convert(folder, interval_s=0.1)
     run = smoothed(log)
     found = _rows("floor, tubes known, every scan", judge(run, log), "m", FLOOR)
-    t_s, feature, left = residuals(run, log)
-    for column, what in enumerate(("range", "bearing")):
-        for lag in LAGS_S:
-            value = repeated(t_s, feature, left[:, column], lag)
-            found.append(row(f"floor, every scan: correlation of {what} residuals {lag:g} s apart", value, "1"))
-    return found
+    return found + _repeated_rows("floor, every scan", run, log, LAGS_S)
 
 
 def fit_rows(folder: Path) -> list[Row]:
@@ -120,12 +116,28 @@ def lego_rows(folder: Path) -> list[Row]:
     log = lego.convert(folder)
     log = with_legs(log, legs(log, side=None, sweep_s=lego.SWEEP_S))
     free = smoothed(log)
-    known = smoothed(surveyed(log, free, lego.landmarks(folder)))
+    known_log = surveyed(log, free, lego.landmarks(folder))
+    known, seldom = smoothed(known_log), smoothed(seldom_seen(known_log, SELDOM_S))
     return [
         *_rows("lego, tracks alone", judge(smoothed(log, use_legs=False), log), "mm", None),
         *_rows("lego, cylinders known", judge(known, log), "mm", LEGO_MM),
         *_rows("lego, cylinders unknown", judge(free, log), "mm", LEGO_MM),
+        *_rows(f"lego, cylinders known, a scan each {SELDOM_S:g} s", judge(seldom, log), "mm", LEGO_MM),
+        *_repeated_rows("lego", known, known_log, LEGO_LAGS_S, near_s=0.05),
     ]
+
+
+def seldom_seen(log: SensorLog, interval_s: float) -> SensorLog:
+    """The log with detections of scans at least an interval apart."""
+    points = log.lidar_points
+    assert points is not None
+    kept: list[float] = []
+    for t in np.unique(points.t_s).tolist():
+        if not kept or t - kept[-1] >= interval_s:
+            kept.append(t)
+    rows = np.isin(points.t_s, kept)
+    columns = {name: getattr(points, name)[rows] for name in ("t_s", "feature", "range_m", "angle_rad")}
+    return dataclasses.replace(log, lidar_points=points.replace(**columns))
 
 
 def _rows(name: str, found: Judged, unit: str, target: Target | None) -> list[Row]:
@@ -136,6 +148,17 @@ def _rows(name: str, found: Judged, unit: str, target: Target | None) -> list[Ro
         row(f"{name}: largest error", size * found.max_m, unit),
         row(f"{name}: NEES", found.nees, "1"),
     ]
+
+
+def _repeated_rows(name: str, run: Run, log: SensorLog, lags_s: tuple[float, ...], near_s: float = 2e-3) -> list[Row]:
+    """How far what known legs leave of a reading is that of the reading before."""
+    t_s, feature, left = residuals(run, log)
+    found = []
+    for column, what in enumerate(("range", "bearing")):
+        for lag in lags_s:
+            value = repeated(t_s, feature, left[:, column], lag, near_s)
+            found.append(row(f"{name}: correlation of {what} residuals {lag:g} s apart", value, "1"))
+    return found
 
 
 def recorded(name: str, measure: Callable[[Path], list[Row]], missing: list[Row]) -> list[Row]:

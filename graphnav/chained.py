@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors.so3 import Array, to_quaternion
+from factors.increments import npt_int
+from factors.so3 import Array, to_quaternion, transpose
 from graphnav._memory import peak_bytes
 from graphnav._stages import Stages
 from graphnav.chain_graph import (
@@ -89,14 +90,18 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
 def _covariances(
     problem: ChainProblem, result: batch.BatchResult, progress: Callable[[float, float], None] | None
 ) -> dict[int, Array]:
-    """Joint covariance of every keyframe and the next (the last one: and the one before), and of the scanner."""
-    last = len(problem.keyframe_s) - 1
-    groups: dict[int, tuple[int, ...]] = {X(i): (X(i), X(i + 1)) for i in range(last)}
-    groups[X(last)] = (X(last - 1), X(last))
+    """Joint covariance of every keyframe with its neighbour, and of the scanner."""
+    neighbours = _neighbours(len(problem.keyframe_s)).tolist()
+    groups: dict[int, tuple[int, ...]] = {X(i): (X(i), X(j)) for i, j in enumerate(neighbours)}
     if result.values.exists(D(0)):
         groups[D(0)] = (D(0),)
     assert result.bayes_tree is not None
     return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
+
+
+def _neighbours(count: int) -> npt_int:
+    """The keyframe after each one; the last has the one before it."""
+    return np.append(np.arange(1, count), count - 2)
 
 
 def _trajectory(problem: ChainProblem, values: gtsam.Values, blocks: dict[int, Array] | None) -> Trajectory:
@@ -106,17 +111,14 @@ def _trajectory(problem: ChainProblem, values: gtsam.Values, blocks: dict[int, A
     rotation, pos = poses[:, :3, :3], poses[:, :3, 3]
     cov = None
     if blocks is not None:
-        pair = np.minimum(np.arange(count), count - 2)
-        by_states = np.zeros((count, 9, 12))
-        # a pose's own perturbation is the first of the pair, but for the last pose
-        own = np.where(np.arange(count) < count - 1, 0, 6)[:, None] + np.arange(6)
-        by_states[np.arange(count)[:, None], np.arange(3), own[:, :3]] = 1.0
-        for i, at in enumerate(own[:, 3]):
-            by_states[i, 3:6, at : at + 3] = rotation[i]
-        step_s = np.diff(t_s)[pair][:, None, None]
-        by_states[:, 6:, 3:6], by_states[:, 6:, 9:] = -rotation[pair] / step_s, rotation[pair + 1] / step_s
-        joint = np.array([blocks[X(i)] for i in range(count)])
-        cov = by_states @ joint @ np.swapaxes(by_states, 1, 2)
+        other = _neighbours(count)
+        step_s = (t_s[other] - t_s)[:, None, None]
+        # attitude, position in n and velocity from both poses' perturbations, which GTSAM has in the body frame
+        by_poses = np.zeros((count, 9, 12))
+        by_poses[:, :3, :3] = np.eye(3)
+        by_poses[:, 3:6, 3:6] = rotation
+        by_poses[:, 6:, 3:6], by_poses[:, 6:, 9:] = -rotation / step_s, rotation[other] / step_s
+        cov = by_poses @ np.array([blocks[X(i)] for i in range(count)]) @ transpose(by_poses)
     return Trajectory(t_s, pos, to_quaternion(rotation), mean_velocity(pos, t_s), cov, problem.chain)
 
 
@@ -158,6 +160,8 @@ def _warnings(problem: ChainProblem) -> list[str]:
     unused = given - len(problem.frontend.fixes)
     if unused and problem.config.position.use:
         found.append(f"{unused} of {given} positions and surveyed points are outside the record of relative poses")
+    if problem.initial.static_until_s is not None:
+        found.append("initial.static_until_s is not used without an IMU: the motions say when it stands")
     if log.lidar_points is not None and log.lidar is None:
         found.append("the table lidar_points is not used: declare the scanner in a section [lidar]")
     return found

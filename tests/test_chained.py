@@ -182,10 +182,12 @@ def test_what_takes_no_part_is_told() -> None:
         t_s=t_s, speed_m_s=np.full(len(t_s), 0.3), sigma_m_s=0.02, slip_sigma_m_s=0.01, scale_sigma=0.05,
         mounting_sigma_deg=np.ones(3),
     )  # fmt: skip
-    more = dataclasses.replace(log(), odometer=wheels, face=Face(length_m=10.0), lidar=None)
+    static = log().initial.replace(static_until_s=1.0)
+    more = dataclasses.replace(log(), odometer=wheels, face=Face(length_m=10.0), lidar=None, initial=static)
     assert smooth(more).diagnostics.warnings == [
         "the table odometer is not used without an IMU",
         "the section [face] is not used without an IMU",
+        "initial.static_until_s is not used without an IMU: the motions say when it stands",
         "the table lidar_points is not used: declare the scanner in a section [lidar]",
     ]
 
