@@ -12,12 +12,12 @@ of a metre's advance.
 
 from __future__ import annotations
 
-import itertools
 import sys
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from factors.so3 import Array
 from graphnav._metrics import truth_at
 from graphnav.creep_rows import Creep, CreepRow
 from graphnav.errors import GraphnavError, LogError
-from graphnav.face_line import FaceLine, level
+from graphnav.face_line import FaceLine, Seen, level
 from graphnav.frontends.cutting_cycles import Cycle, find_cycles
 from graphnav.frontends.rest import rest_spans
 from graphnav.log import SensorLog
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from graphnav._stages import ProgressHook
     from graphnav.config import Config
 
+_Found = TypeVar("_Found")
 #: Two measurements of a creep that differ by more than this many sigmas are told of.
 _APART_SIGMAS = 4.0
 #: A wall that fits worse than this many times its noise is told of.
@@ -52,6 +53,8 @@ def creep(
 ) -> Creep:
     """Creep after every cycle, by registration of the roadway's wall and from the smoothed positions.
 
+    What cannot be told, since a stop has no scans or two stops do not see the same wall, is left out with a note.
+
     Parameters
     ----------
     log : a `SensorLog` with raw scans of the stops at the end, or the folder of one. Its truth is not used.
@@ -66,9 +69,9 @@ def creep(
     Raises
     ------
     LogError
-        No scans at the stops, no roadway seen, no cuts, no [face].
+        No [face], no cuts, no scans; no two stops in succession with scans in which the roadway is seen.
     GraphnavError
-        An unknown end, a run without covariances, a wall that two stops do not share, or as from `graphnav.smooth`.
+        An unknown end, a run without covariances, no two stops that see the same wall, or as from `graphnav.smooth`.
     """
     log = _checked(log, end)
     cycles = find_cycles(log)
@@ -77,19 +80,31 @@ def creep(
         from graphnav.smooth import smooth
 
         run = smooth(log, config, progress=progress)
-    assert log.lidar is not None and log.lidar_scans is not None
+    scans = log.lidar_scans
+    assert log.lidar is not None and scans is not None
     joint = run.stops is not None
     states = run.stops or independent_stops(run.trajectory, run.calibration, _ends(cycles))
     near, far = at_times(states, axis_s)
     line = FaceLine(declared_scanner(states, log.lidar), near, far, log.lidar)
     rest_s = rest_spans(log)
-    seen = [line.seen(row, log.lidar_scans, rest_s, end) for row in at_times(states, list(stops.values()))]
-    rows = []
-    for cycle, (first, second) in zip(stops, itertools.pairwise(seen), strict=False):
-        rows.append(line.creep(cycle, first, second))
+
+    def look(cycle: int) -> Seen:
+        return line.seen(at_times(states, [stops[cycle]])[0], scans, rest_s, end)
+
+    seen, left_out = _all_that_can(look, stops, "the stop of cycle {}")
+    pairs = [cycle for cycle in seen if cycle + 1 in seen]
+
+    def advance(cycle: int) -> CreepRow:
         if progress is not None:
-            progress("registration", len(rows), len(stops) - 1)
-    return Creep(log.name, end, tuple(rows), joint, _notes(rows, joint))
+            progress("registration", pairs.index(cycle) + 1, len(pairs))
+        return line.creep(cycle, seen[cycle], seen[cycle + 1])
+
+    rows, failed = _all_that_can(advance, pairs, "the creep after cycle {}")
+    left_out |= failed
+    if not rows:
+        raise next(iter(left_out.values()))
+    notes = [f"{what} is left out: {error}" for what, error in left_out.items()]
+    return Creep(log.name, end, tuple(rows.values()), joint, (*notes, *_notes(list(rows.values()), joint)))
 
 
 def with_truth(found: Creep, log: SensorLog) -> Creep:
@@ -155,6 +170,19 @@ def _axis_times(cycles: tuple[Cycle, ...], name: str) -> tuple[float, float]:
 
 def _ends(cycles: tuple[Cycle, ...]) -> Array:
     return np.unique([t for c in cycles for t in (c.start_s, c.end_s) if t is not None])
+
+
+def _all_that_can(
+    find: Callable[[int], _Found], cycles: Iterable[int], name: str
+) -> tuple[dict[int, _Found], dict[str, GraphnavError]]:
+    """What is found of each cycle, and the errors of those of which nothing is, under the `name` with their number."""
+    found, errors = {}, {}
+    for cycle in cycles:
+        try:
+            found[cycle] = find(cycle)
+        except GraphnavError as error:
+            errors[name.format(cycle)] = error
+    return found, errors
 
 
 def _notes(rows: list[CreepRow], joint: bool) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from factors.increments import npt_int
 from factors.so3 import Array
 from graphnav.creep_rows import CreepRow
 from graphnav.errors import LogError
-from graphnav.frontends.registration import Sight, refined, register
+from graphnav.frontends.registration import Expected, Sight, refined, register
 from graphnav.frontends.roadway import Beams, placed, roadway_beams
 from graphnav.log import Lidar, LidarScans
 from graphnav.run import Stops
@@ -70,14 +70,15 @@ class FaceLine:
         GraphnavError
             Too little of the wall is seen from both stops.
         """
-        turn = self._turn_sigma(first.row, second.row)
-        sights = self._sights(self.stops, first, second)
-        matched = register(*sights, self._step(self.stops, first, second), turn)
+        right, turn = self._right_sigma(first.row, second.row), self._turn_sigma(first.row, second.row)
+        expected = Expected(self._step(self.stops, first, second), right, turn)
+        matched = register(*self._sights(self.stops, first, second), expected)
         start = np.array([*matched.shift_m, matched.turn_rad])
 
         def both(stops: Stops) -> Array:
-            shift_m = refined(*self._sights(stops, first, second), start, turn).shift_m
-            return np.array([shift_m[1], self._step(stops, first, second)[1]])
+            step = self._step(stops, first, second)
+            found = refined(*self._sights(stops, first, second), start, replace(expected, shift_m=step))
+            return np.array([found.shift_m[1], step[1]])
 
         value, cov = both(self.stops), self._propagated(both, [first.row, second.row, self.near, self.far])
         sigma = np.sqrt(np.diag(cov) + np.array([matched.cov[1, 1], 0.0]))
@@ -106,11 +107,21 @@ class FaceLine:
             sight.append(Sight(points, beams.sigma_m))
         return sight[0], sight[1]
 
+    def _right_sigma(self, first: int, second: int) -> float:
+        """1-sigma of the way from one stop to another across the face, m."""
+        right_n = self._axes(self.stops)[:, 0]
+        return self._sigma(first, second, np.r_[np.zeros(3), right_n], np.r_[np.zeros(3), right_n])
+
     def _turn_sigma(self, first: int, second: int) -> float:
         """1-sigma of the heading of one stop against that of another, rad."""
+        up_b = self.stops.rot_nb[:, 2]
+        return self._sigma(first, second, np.r_[up_b[first], np.zeros(3)], np.r_[up_b[second], np.zeros(3)])
+
+    def _sigma(self, first: int, second: int, of_first: Array, of_second: Array) -> float:
+        """1-sigma of a difference of two stops, whose parts by their errors are `of_first` and `of_second` ``(6,)``."""
         by_error = np.zeros(len(self.stops.cov))
-        for row, sign in ((first, -1.0), (second, 1.0)):
-            by_error[POSE * row : POSE * row + 3] = sign * self.stops.rot_nb[row, 2]
+        by_error[POSE * first : POSE * (first + 1)] = -of_first
+        by_error[POSE * second : POSE * (second + 1)] = of_second
         return float(np.sqrt(by_error @ self.stops.cov @ by_error))
 
     def _propagated(self, values: Callable[[Stops], Array], rows: list[int]) -> Array:

@@ -2,14 +2,14 @@
 
 Source: Zheng et al., "A LiDAR-aided inertial positioning approach for a longwall shearer", equation 8:
 ``L1 = R L2 + T``. Open3D's point-to-plane ICP with a robust kernel finds R and T from a rough start. The last steps
-are taken here: each beam weighs what its own noise says, the turn is tied to what the trajectory knows of it, and the
-curvature at the end gives the covariance.
+are taken here: each beam weighs what its own noise says, the turn and the shift to the right are tied to what the
+trajectory knows of them, and the curvature at the end gives the covariance. The shift forward is the wall's alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,30 @@ _TUKEY = 4.685
 _STEPS = 30
 #: Fewest beams of one sight on the wall of the other.
 FEWEST = 10
+#: A straight wall seems to tell of a motion along it, by the noise of its beams; that may make the variance forward
+#: seem smaller by no more than this.
+_SEEMING = 1.5
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What the trajectory tells of the motion between the sights.
+
+    Attributes
+    ----------
+    shift_m : ``(2,)`` right and forward; forward it is no more than the start, and must be right within `_REACHES_M`.
+    right_sigma_m : 1-sigma of the shift to the right, which a straight wall does not tell.
+    turn_sigma_rad : 1-sigma of the turn, whose expectation is zero.
+    """
+
+    shift_m: Array
+    right_sigma_m: float
+    turn_sigma_rad: float
+
+    @property
+    def information(self) -> Array:
+        """``(3, 3)`` of shift and turn."""
+        return np.diag([self.right_sigma_m**-2, 0.0, self.turn_sigma_rad**-2])
 
 
 @dataclass(frozen=True)
@@ -38,8 +62,8 @@ class Registration:
     ----------
     shift_m : ``(2,)`` T of equation 8: right and forward, in the axes of the points.
     turn_rad : R of equation 8, counter-clockwise.
-    cov : ``(3, 3)`` of shift (m) and turn (rad) from the beams' noise alone: an error of the turn's expectation is
-        no noise of these sights, and is for the caller to add.
+    cov : ``(3, 3)`` of shift (m) and turn (rad) from the beams' noise alone: an error of what was expected is no
+        noise of these sights, and is for the caller to add.
     matched : beams of the second sight on the wall of the first.
     residual : rms of their distance from it, in their own sigmas; above 1 the covariance allows for it.
     """
@@ -64,22 +88,20 @@ class Sight:
     sigma_m: Array
 
 
-def register(first: Sight, second: Sight, predicted_m: Array, turn_sigma_rad: float) -> Registration:
+def register(first: Sight, second: Sight, expected: Expected) -> Registration:
     """Align the second sight of a wall with the first.
 
     Parameters
     ----------
     first, second : the sights, in axes that are parallel but for the turn.
-    predicted_m : ``(2,)`` the shift that is expected, within `_REACHES_M`.
-    turn_sigma_rad : 1-sigma of the turn, whose expectation is zero.
+    expected : what the trajectory tells of it.
 
     Raises
     ------
     GraphnavError
-        Too little of the wall is seen from both places.
+        Too little of the wall is seen from both places, or it does not tell the shift forward.
     """
-    start = icp(first, second, predicted_m)
-    return refined(first, second, start, turn_sigma_rad)
+    return refined(first, second, icp(first, second, expected.shift_m), expected)
 
 
 def icp(first: Sight, second: Sight, predicted_m: Array) -> Array:
@@ -102,37 +124,64 @@ def icp(first: Sight, second: Sight, predicted_m: Array) -> Array:
     return np.array([pose[0, 3], pose[1, 3], np.arctan2(pose[1, 0], pose[0, 0])])
 
 
-def refined(first: Sight, second: Sight, start: Array, turn_sigma_rad: float) -> Registration:
+def refined(first: Sight, second: Sight, start: Array, expected: Expected) -> Registration:
     """Gauss-Newton from a start ``(3,)`` near by: distances of the second sight's points from the first's wall.
 
     Raises
     ------
     GraphnavError
-        Too little of the wall is seen from both places.
+        Too little of the wall is seen from both places, or it does not tell the shift forward.
     """
-    state = np.asarray(start, float)
+    state, prior = np.asarray(start, float), expected.information
+    mean = np.array([expected.shift_m[0], 0.0, 0.0])
     for _ in range(_STEPS):
-        matrix, right, sigma = _distances(first, second, state)
-        white = right / sigma
+        pairs = _distances(first, second, state)
+        matrix, white = pairs.by_state, pairs.distance_m / pairs.sigma_m
         scale = max(1.0, 1.4826 * float(np.median(np.abs(white))))
         weight = np.clip(1 - (white / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
-        information = (matrix * (weight / sigma**2)[:, None]).T @ matrix
-        information[2, 2] += turn_sigma_rad**-2
-        gradient = matrix.T @ (weight * right / sigma**2)
-        gradient[2] += state[2] / turn_sigma_rad**2
-        step = np.linalg.solve(information, gradient)
+        share = weight / pairs.sigma_m**2
+        beams = (matrix * share[:, None]).T @ matrix
+        _require_told(beams, prior, pairs, share)
+        step = np.linalg.solve(beams + prior, matrix.T @ (share * pairs.distance_m) + prior @ (state - mean))
         state = state - step
         if np.abs(step).max() < 1e-9:
             break
     spread = float(np.sqrt((weight * white**2).sum() / max(weight.sum() - 2, 1.0)))
-    gain = np.linalg.inv(information)
-    beams = information - np.diag([0.0, 0.0, turn_sigma_rad**-2])
+    gain = np.linalg.inv(beams + prior)
     cov = max(spread**2, 1.0) * gain @ beams @ gain
     return Registration(state[:2], float(state[2]), cov, int((weight > 0).sum()), spread)
 
 
-def _distances(first: Sight, second: Sight, state: Array) -> tuple[Array, Array, Array]:
-    """Jacobian ``(K, 3)``, distance and sigma ``(K,)`` of the second's points on the first's wall, beam to beam."""
+def _require_told(beams: Array, prior: Array, pairs: _Pairs, share: Array) -> None:
+    """Refuse a wall that tells the shift forward only by the noise in the direction of its pieces."""
+    seeming = np.zeros((3, 3))
+    seeming[:2, :2] = (pairs.along * (share * pairs.tilt_sigma_rad**2)[:, None]).T @ pairs.along
+    seems, told = beams + prior, beams + prior - seeming
+    if np.linalg.eigvalsh(told)[0] <= 0 or np.linalg.inv(told)[1, 1] > _SEEMING * np.linalg.inv(seems)[1, 1]:
+        raise GraphnavError(
+            "the wall that both stops see runs along the face and does not tell how far the machine has moved along it"
+        )
+
+
+class _Pairs(NamedTuple):
+    """Beams of the second sight, and the pieces of the first's wall that they lie on.
+
+    Attributes
+    ----------
+    by_state : ``(K, 3)`` derivatives of the distances by shift and turn.
+    distance_m, sigma_m : ``(K,)`` from the wall.
+    along, tilt_sigma_rad : ``(K, 2)`` directions of the pieces, and their sigmas ``(K,)`` from the noise of the beams.
+    """
+
+    by_state: Array
+    distance_m: Array
+    sigma_m: Array
+    along: Array
+    tilt_sigma_rad: Array
+
+
+def _distances(first: Sight, second: Sight, state: Array) -> _Pairs:
+    """Distances of the second sight's points from the first's wall, which runs from beam to beam."""
     cos, sin = np.cos(state[2]), np.sin(state[2])
     turned = second.points_m @ np.array([[cos, sin], [-sin, cos]])
     moved = turned + state[:2]
@@ -158,7 +207,9 @@ def _distances(first: Sight, second: Sight, state: Array) -> tuple[Array, Array,
     by_turn = np.column_stack([-turned[rows, 1], turned[rows, 0]])
     matrix = np.column_stack([normal, np.einsum("ni,ni->n", normal, by_turn)])
     wall_sigma = np.hypot((1 - share) * first.sigma_m[piece], share * first.sigma_m[piece + 1])
-    return matrix, right, np.hypot(second.sigma_m[rows], wall_sigma)
+    sigma = np.hypot(second.sigma_m[rows], wall_sigma)
+    tilt = np.hypot(first.sigma_m[piece], first.sigma_m[piece + 1]) / length[piece]
+    return _Pairs(matrix, right, sigma, run[piece] / length[piece, None], tilt)
 
 
 def _filled(points_m: Array) -> tuple[Array, Array]:

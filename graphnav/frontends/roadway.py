@@ -39,7 +39,8 @@ class Beams:
     Attributes
     ----------
     range_m, angle_rad : ``(N,)`` as measured, systematic errors included.
-    sigma_m : ``(N,)`` 1-sigma of the mean range, from the scatter of the scans.
+    sigma_m : ``(N,)`` 1-sigma of the mean range, from the scatter of the scans. Readings that are all the same show
+        the scanner's steps, which no mean makes finer: then the declared sigma of one of them.
     """
 
     range_m: Array
@@ -51,8 +52,12 @@ class Beams:
         return Beams(self.range_m[chosen], self.angle_rad[chosen], self.sigma_m[chosen])
 
 
-def mean_scan(scans: LidarScans, rows: npt_int) -> Beams:
+def mean_scan(scans: LidarScans, rows: npt_int, range_sigma_m: float) -> Beams:
     """Mean of the scans `rows` of a machine at rest, over the beams on whose range most of them agree.
+
+    Parameters
+    ----------
+    range_sigma_m : the declared 1-sigma of one range.
 
     Raises
     ------
@@ -77,11 +82,9 @@ def mean_scan(scans: LidarScans, rows: npt_int) -> Beams:
     count = np.isfinite(ranges).sum(axis=0)
     agreed = np.flatnonzero((count > _AGREE * len(rows)) & (count > 1))
     ranges, seen = ranges[:, agreed], seen[agreed]
-    return Beams(
-        np.nanmean(ranges, axis=0),
-        geometry[1] + geometry[2] * seen,
-        np.nanstd(ranges, axis=0, ddof=1) / np.sqrt(count[agreed]),
-    )
+    scatter = np.nanstd(ranges, axis=0, ddof=1)
+    sigma = np.where(scatter > 0, scatter / np.sqrt(count[agreed]), range_sigma_m)
+    return Beams(np.nanmean(ranges, axis=0), geometry[1] + geometry[2] * seen, sigma)
 
 
 def placed(range_m: Array, angle_rad: Array, lidar: Lidar, calibration: Array, rot_fb: Array) -> Array:
@@ -118,7 +121,7 @@ def roadway_beams(
     LogError
         No roadway seen, or no diameter of the legs declared.
     """
-    beams = mean_scan(scans, rows)
+    beams = mean_scan(scans, rows, lidar.range_sigma_m)
     points = placed(beams.range_m, beams.angle_rad, lidar, calibration, rot_fb)
     free = points[:, 0] > _free_from(scans, rows, lidar, calibration, rot_fb)
     found = beams.where(np.flatnonzero(free & (outwards * points[:, 1] > _NEAREST_M)))
