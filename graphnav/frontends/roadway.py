@@ -22,6 +22,8 @@ from graphnav.log import Lidar, LidarScans
 
 #: Returns of one beam farther from their median than this many of its spread are dust.
 _DUST_SPREADS = 4.0
+#: A beam whose returns spread by more than this many sigmas of one reading does not see one thing alone.
+_ONE_THING = 10.0
 #: A beam counts when this share of the scans agree on it.
 _AGREE = 0.6
 #: Nothing nearer than this along the face is a roadway: the machine itself and the conveyor's drive are.
@@ -80,7 +82,7 @@ def mean_scan(scans: LidarScans, rows: npt_int, range_sigma_m: float) -> Beams:
     spread = 1.4826 * np.nanmedian(off, axis=0)
     ranges[off > _DUST_SPREADS * spread] = np.nan
     count = np.isfinite(ranges).sum(axis=0)
-    agreed = np.flatnonzero((count > _AGREE * len(rows)) & (count > 1))
+    agreed = np.flatnonzero((count > _AGREE * len(rows)) & (count > 1) & (spread < _ONE_THING * range_sigma_m))
     ranges, seen = ranges[:, agreed], seen[agreed]
     scatter = np.nanstd(ranges, axis=0, ddof=1)
     sigma = np.where(scatter > 0, scatter / np.sqrt(count[agreed]), range_sigma_m)
