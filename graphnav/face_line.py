@@ -82,7 +82,8 @@ class FaceLine:
 
         value, cov = both(self.stops), self._propagated(both, [first.row, second.row, self.near, self.far])
         sigma = np.sqrt(np.diag(cov) + np.array([matched.cov[1, 1], 0.0]))
-        return CreepRow(cycle, value[0], sigma[0], value[1], sigma[1], matched.matched, matched.residual)
+        (icp_m, graph_m), (icp_sigma_m, graph_sigma_m) = value.tolist(), sigma.tolist()
+        return CreepRow(cycle, icp_m, icp_sigma_m, graph_m, graph_sigma_m, matched.matched, matched.residual)
 
     def forward(self, stops: Stops) -> Array:
         """The face's axis in n ``(3,)``: level, from the near to the far end."""

@@ -40,7 +40,7 @@ def errors(found: Registration) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_known_displacement_is_found(seed: int) -> None:
     """To 2 mm and 5 sigma forward (false-alarm rate 6e-7 each), where it was expected 20 cm off, and turned."""
-    found = register(*pair(seed, turn=2 * TURN), expected(MOVED + [0.0, 0.2]))
+    found = register(*pair(seed, turn=2 * TURN), expected(MOVED + np.array([0.0, 0.2])))
     error, in_sigmas = errors(found)
     assert abs(error[1]) < 2e-3
     # the turn is expected to be none, which is no noise of the beams: so much of it moves the wall
@@ -50,7 +50,7 @@ def test_a_known_displacement_is_found(seed: int) -> None:
 
 
 def test_the_start_does_not_matter() -> None:
-    one, other = (register(*pair(0), expected(MOVED + [0.0, off])) for off in (-0.15, 0.2))
+    one, other = (register(*pair(0), expected(MOVED + np.array([0.0, off]))) for off in (-0.15, 0.2))
     assert np.abs(one.shift_m - other.shift_m).max() < 1e-7
 
 
@@ -89,7 +89,9 @@ def test_a_straight_wall_is_held_across_by_what_is_expected(slant: float) -> Non
     """It tells the shift along its normal alone; an error across, times the slant, is the caller's to add."""
     off = 0.004
     for seed in range(4):
-        found = register(*pair(seed, wall(np.random.default_rng(seed), 0.0, slant)), expected(MOVED + [off, 0.0], 2e-3))
+        found = register(
+            *pair(seed, wall(np.random.default_rng(seed), 0.0, slant)), expected(MOVED + np.array([off, 0.0]), 2e-3)
+        )
         error, _ = errors(found)
         assert error[0] == pytest.approx(off, abs=1e-3)
         assert error[1] == pytest.approx(slant * error[0], abs=5 * np.sqrt(found.cov[1, 1]) + 1e-4)

@@ -16,6 +16,8 @@ ANGLES = np.arange(721) * STEP
 SCANS = 60
 LIDAR = Lidar(range_sigma_m=RANGE_M, angle_sigma_deg=float(np.degrees(ANGLE_RAD)), leg_diameter_m=0.4)
 ROWS = np.arange(SCANS)
+#: A machine square to the face.
+SQUARE = np.eye(3)
 
 
 def recorded(readings: np.ndarray) -> LidarScans:
@@ -28,7 +30,7 @@ def recorded(readings: np.ndarray) -> LidarScans:
 
 
 def face_end(legs_at_m: float = -4.0) -> np.ndarray:
-    """True ranges from the end of a face: legs every 1.5 m on the left, shields behind them, the roadway's wall ahead."""
+    """True ranges from the end of a face: legs on the left, shields behind them, the roadway's wall ahead."""
     true = ranges(wall(np.random.default_rng(0)), np.zeros(3), ANGLES)
     shield = (legs_at_m - 1.2) / -np.sin(np.maximum(ANGLES, 1e-9))
     true = np.fmin(np.where(np.isnan(true), np.inf, true), np.where(shield * np.cos(ANGLES) < 5, shield, np.inf))
@@ -92,7 +94,7 @@ def test_scans_of_different_beams_are_named() -> None:
 # The roadway -------------------------------------------------------------------------------------------------
 
 
-def seen(true: np.ndarray, outwards: int = 1, rot_fb: np.ndarray = np.eye(3), lidar: Lidar = LIDAR) -> np.ndarray:
+def seen(true: np.ndarray, outwards: int = 1, rot_fb: np.ndarray = SQUARE, lidar: Lidar = LIDAR) -> np.ndarray:
     """Points taken for the roadway, right and forward in the axes of the face."""
     beams = roadway_beams(recorded(noisy(true)), ROWS, lidar, np.zeros(8), rot_fb, outwards)
     return placed(beams.range_m, beams.angle_rad, lidar, np.zeros(8), rot_fb)
@@ -127,7 +129,7 @@ def test_without_a_diameter_of_the_legs_it_is_asked_for() -> None:
 
 
 def test_places_undo_the_scanners_errors_and_mounting() -> None:
-    """Equation 4's errors put on and taken off again; a level forward beam of a scanner turned to the left and aside."""
+    """Range errors taken off; the forward beam of a scanner that is turned to the left and stands aside."""
     calibration = np.array([6e-4, 0.035, 0.0, 0.0, 0.0, 0.0, 0.0, np.radians(0.5)])
     lidar = LIDAR.replace(T_bs_pos_m=np.array([0.3, -0.1, 1.0]))
     at = placed(np.array([10.0 * (1 + 6e-4) + 0.035]), np.zeros(1), lidar, calibration, np.eye(3))
