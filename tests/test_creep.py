@@ -269,7 +269,9 @@ def test_the_command_prints_json_alone(shift: Path, capsys: pytest.CaptureFixtur
 def test_the_command_shows_a_table(shift: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["creep", str(shift)]) == 0
     out, err = capsys.readouterr()
-    assert out == "" and "after cycle" in " ".join(err.split()) and "near end" in " ".join(err.split())
+    assert out == "" and "creep after each cycle" in err and "near end" in err
+    for row in found().rows:
+        assert f"{row.true_m:.4f}" in err
 
 
 def test_without_truth_the_command_judges_nothing(

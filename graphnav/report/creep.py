@@ -9,11 +9,12 @@ from graphnav.report.terminal import say, table
 def show(found: Creep) -> None:
     """Print the creep after every cycle, on standard error."""
     judged = any(row.true_m is not None for row in found.rows)
-    columns = ["", "registration (m)", "sigma (mm)", "positions (m)", "sigma (mm)", "beams", "fit"]
+    columns = ["cycle", "ICP (m)", "sigma (mm)", "graph (m)", "sigma (mm)", "beams", "fit"]
     if judged:
-        columns += ["true (m)", "error, registration (mm)", "error, positions (mm)"]
+        columns += ["true (m)", "ICP error (mm)", "graph error (mm)"]
     rows = [(*_cells(row), *(_errors(row) if judged else ())) for row in found.rows]
-    table(f"{found.name}: creep towards the far end, from the stops at the {found.end} end", columns, rows)
+    table(f"{found.name}: creep after each cycle towards the far end, at the {found.end} end", columns, rows)
+    say("ICP: by registration of the roadway's wall; graph: from the smoothed positions of the stops")
     say("fit: rms distance of the beams from the wall seen before, in sigmas of their noise; 1 is as expected")
     for note in found.notes:
         say(f"note: {note}")
@@ -21,7 +22,7 @@ def show(found: Creep) -> None:
 
 def _cells(row: CreepRow) -> tuple[str, ...]:
     return (
-        f"after cycle {row.cycle}",
+        f"{row.cycle}",
         f"{row.icp_m:.4f}",
         f"{1e3 * row.icp_sigma_m:.2f}",
         f"{row.graph_m:.4f}",
