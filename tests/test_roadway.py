@@ -64,6 +64,7 @@ def test_dust_drops_out() -> None:
     beams = mean_scan(recorded(readings), ROWS, RANGE_M)
     assert len(beams.range_m) == 400
     assert np.abs((beams.range_m - 8.0) / beams.sigma_m).max() < 6
+    assert beams.sigma_m.max() < 2 * RANGE_M / np.sqrt(SCANS)
 
 
 def test_beams_on_which_the_scans_do_not_agree_are_left_out() -> None:
