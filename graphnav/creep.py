@@ -152,7 +152,7 @@ def _stops(cycles: tuple[Cycle, ...], end: str, name: str) -> dict[int, float]:
     stops = {number: time_s for number, time_s in times.items() if time_s is not None}
     if len(stops) < 2 or list(stops) != list(range(min(stops), max(stops) + 1)):
         raise LogError(
-            f"{len(stops)} cycles with a stop at the {end} end, creep needs two or more, one after the other",
+            f"cycles with a stop at the {end} end: {list(stops)}; creep needs two or more, one after the other",
             where=f"log {name}",
             column="events",
             fix="give the events of all cuts, or the other end of the face",

@@ -227,7 +227,7 @@ def test_a_log_that_lacks_something_is_told_so(change: dict[str, None], said: st
 def test_one_cycle_has_no_creep() -> None:
     events = log().events
     assert events is not None
-    with pytest.raises(LogError, match=r"events: 1 cycles with a stop at the near end, creep needs two or more"):
+    with pytest.raises(LogError, match=r"events: cycles with a stop at the near end: \[1\]; creep needs two or more"):
         gn.creep(replace(log(), events=rows(events, events.cycle == 1)), run())
 
 
