@@ -47,5 +47,4 @@ def sight(rng: np.random.Generator, corners: np.ndarray, place: np.ndarray, scan
     there = np.flatnonzero(np.isfinite(seen).all(axis=0))
     mean, angle = seen[:, there].mean(axis=0), BEAMS_RAD[there]
     points = mean[:, None] * np.column_stack([-np.sin(angle), np.cos(angle)])
-    # as the scanner sees them, so from left to right or the other way
     return Sight(points, seen[:, there].std(axis=0, ddof=1) / np.sqrt(scans))
