@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array, to_quaternion
+from graphnav.keyframes import SAME_S
 from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.log import Lidar
@@ -61,7 +62,7 @@ def covariances(
 def stops(problem: Problem, result: BatchResult) -> Stops | None:
     """The states at both ends of every cut, with their joint covariance; None where there is no cut."""
     ends = np.array([t for c in problem.frontend.cycles for t in (c.start_s, c.end_s) if t is not None])
-    rows = np.flatnonzero(np.isclose(problem.keyframe_s[:, None], ends, rtol=0, atol=1e-6).any(axis=1))
+    rows = np.flatnonzero((np.abs(problem.keyframe_s[:, None] - ends) <= SAME_S).any(axis=1))
     if not len(rows):
         return None
     scanner = result.values.exists(D(0))
