@@ -2,9 +2,9 @@
 
 No estimator that is given the log's measurements and priors has, on average over their errors, a smaller mean-square
 error than the inverse of the information matrix at the true states (H. Van Trees, Detection, Estimation and Modulation
-Theory, Part I, 1968, section 2.4). Poses and velocities are taken from the truth table. Biases, calibration and creep,
-which no log records, are their best estimates given the true poses: close enough, for the Jacobians change with them
-in second order only.
+Theory, Part I, 1968, section 2.4). Poses and velocities are taken from the truth table. Biases, calibrations, creep and
+the places of LiDAR legs, which no log records, are their best estimates given the true poses: close enough, for the
+Jacobians change with them in second order only. Detections of legs are brought together along the true path.
 
 One log is one draw of the errors: its rms over the bound scatters about 1 from log to log even for a perfect
 estimator. Mean squares over many seeds tell (`benchmarks/accuracy.py`).
@@ -26,16 +26,16 @@ from graphnav._stages import ProgressHook, Stages
 from graphnav.config import Config
 from graphnav.errors import ConfigError, GraphnavError
 from graphnav.evaluation import evaluate
-from graphnav.graph import build_graph
-from graphnav.legs import refuse_legs
+from graphnav.graph import SmoothingGraph, build_graph
+from graphnav.legs import LegReadings, condense
 from graphnav.limits import Bound
 from graphnav.log import SensorLog, Truth
 from graphnav.outcome import covariances, estimated_biases, smoothed_trajectory
 from graphnav.preintegration import preintegrate
-from graphnav.problem import Problem, V, X
+from graphnav.problem import L, Problem, V, X
 from graphnav.smooth import posed
-from graphnav.solution import solve_batch
-from graphnav.solvers.batch import BatchResult, eliminate
+from graphnav.solution import Solved, solve_batch
+from graphnav.solvers.batch import BatchResult, eliminate, elimination
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 
     import gtsam
 
-#: Gauss-Newton steps for what no log records; the problem in it is close to linear.
-_STEPS = 2
+#: Gauss-Newton steps for what no log records; the problem in it is close to linear, less so with legs.
+_STEPS, _STEPS_WITH_LEGS = 2, 4
 
 
 def bound(log: SensorLog | str | Path, config: Config | None = None, progress: ProgressHook | None = None) -> Bound:
@@ -74,14 +74,14 @@ def bound(log: SensorLog | str | Path, config: Config | None = None, progress: P
         raise GraphnavError(f"log {log.name} has no truth table to linearise at; add truth.parquet or truth.csv")
     stages = Stages(progress)
     problem = posed(replace(log, truth=None), config, stages)
-    refuse_legs(problem, "the bound")
     pos, quat, vel = _true_states(log.name, log.truth, problem.keyframe_s)
     solved = solve_batch(problem, stages)
     estimate = smoothed_trajectory(problem, solved.result.values, None)
     solved.result = replace(solved.result, bayes_tree=None)  # large, and another one follows
     with stages.stage("covariance") as tick:
         values = _with_states(problem, solved.result.values, pos, quat, vel)
-        limit = _at_truth(problem, values, solved.result.order, tick)
+        legs = _along(problem, solved, values)
+        limit = _at_truth(problem, values, legs, tick)
     return Bound(log.name, limit, evaluate(estimate, log))
 
 
@@ -109,26 +109,53 @@ def _with_states(problem: Problem, values: gtsam.Values, pos: Array, quat: Array
     return placed
 
 
+def _along(problem: Problem, solved: Solved, values: gtsam.Values) -> LegReadings | None:
+    """Readings of legs along the poses in `values`, to which the legs' places are added; None without legs.
+
+    What the smoother found to disagree is no measurement of the model, and is left out here too.
+    """
+    if solved.legs is None:
+        return None
+    readings = condense(problem, values, *estimated_biases(problem, values))
+    if solved.legs_left_out is not None:
+        out = set(_named(solved.legs_left_out))
+        readings = readings.only(np.array([named not in out for named in _named(readings)], bool))
+    j = 0
+    while values.exists(L(j)):
+        values.erase(L(j))
+        j += 1
+    for j, place_n in enumerate(readings.place_n):
+        values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
+    return readings
+
+
+def _named(readings: LegReadings) -> list[tuple[int, int]]:
+    """Keyframe and feature number of every reading."""
+    return list(zip(readings.keyframe.tolist(), readings.feature[readings.leg].tolist(), strict=True))
+
+
+def _graph(problem: Problem, values: gtsam.Values, legs: LegReadings | None) -> SmoothingGraph:
+    """The problem, preintegrated at the biases in `values`."""
+    graph = build_graph(problem, preintegrate(problem, *estimated_biases(problem, values)), legs)
+    lidar = problem.log.lidar
+    return graph if legs is None or lidar is None else graph.only_legs(legs, lidar)
+
+
 def _at_truth(
-    problem: Problem, values: gtsam.Values, order: list[int], tick: Callable[[float, float], None] | None
+    problem: Problem, values: gtsam.Values, legs: LegReadings | None, tick: Callable[[float, float], None] | None
 ) -> Trajectory:
     """The states of `values` with the inverse information as their covariance, all else at its best given them."""
-    import gtsam
-
-    graph = build_graph(problem, preintegrate(problem, *estimated_biases(problem, values)))
-    for _ in range(_STEPS):
+    graph = _graph(problem, values, legs)
+    for _ in range(_STEPS if legs is None else _STEPS_WITH_LEGS):
         values = values.retract(_rest_given_states(graph.linearize(values), values))
-    graph = build_graph(problem, preintegrate(problem, *estimated_biases(problem, values)))
-    ordering = gtsam.Ordering()
-    for key in order:
-        ordering.push_back(key)
-    tree = eliminate(graph.linearize(values), ordering)
+    graph = _graph(problem, values, legs)
+    tree, order = elimination(graph.linearize(values), graph.chain)
     blocks = covariances(problem, BatchResult(values, tree, (), True, order), tick)
     return replace(smoothed_trajectory(problem, values, blocks), bridge=None)
 
 
 def _rest_given_states(linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> gtsam.VectorValues:
-    """Gauss-Newton step of biases, calibration and creep with poses and velocities held: their columns dropped."""
+    """Gauss-Newton step of all but poses and velocities, which are held: their columns dropped."""
     import gtsam
 
     reduced, sizes = gtsam.GaussianFactorGraph(), values.zeroVectors()
@@ -138,8 +165,13 @@ def _rest_given_states(linear: gtsam.GaussianFactorGraph, values: gtsam.Values) 
         if all(_is_state(key) for key in keys):
             continue
         matrix, right = factor.jacobian()
-        blocks = np.split(matrix, np.cumsum([len(sizes.at(key)) for key in keys])[:-1], axis=1)
-        parts: list[Any] = [part for pair in zip(keys, blocks, strict=True) if not _is_state(pair[0]) for part in pair]
+        parts: list[Any] = []
+        at = 0
+        for key in keys:
+            end = at + len(sizes.at(key))
+            if not _is_state(key):
+                parts += [key, matrix[:, at:end]]
+            at = end
         parts += [right, gtsam.noiseModel.Unit.Create(len(right))]
         reduced.push_back(gtsam.JacobianFactor(*parts))
     return eliminate(reduced, gtsam.Ordering.ColamdGaussianFactorGraph(reduced)).optimize()

@@ -4,47 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from leg_logs import SPEC, log, run
 from scipy import stats
 
-import graphnav as gn
 from graphnav import legs
 from graphnav._stages import Stages
 from graphnav.config import Config
-from graphnav.errors import ConfigError
 from graphnav.evaluation import evaluate
 from graphnav.leg_priors import lidar_sigmas
-from graphnav.log import SensorLog
-from graphnav.run import Run
 from graphnav.simulation.lidar import draw_lidar_errors
-from graphnav.simulation.lidar_figures import LidarSpec
-from graphnav.simulation.scenarios import LIDAR
-from graphnav.simulation.shearer import simulate_shearer
 from graphnav.simulation.world import streams
 from graphnav.smooth import posed, smooth
 from graphnav.solution import _leg_readings, solve_batch
 
-#: Two cuts of 30 m at three times the speed, every error drawn.
-SPEC = replace(
-    LIDAR, length_m=30.0, cycles=2, speed_m_s=0.3, static_s=20.0, tail_s=1.0, pause_s=3.0, retreat_m=24.0,
-    crossing_m=20.0, end_work_s=None, duration_s=None, att_error_deg=None, mounting_deg=None,
-    lidar=LidarSpec(draw=True),
-)  # fmt: skip
 SEEDS = range(4)
-
-
-@cache
-def log(seed: int = 0) -> SensorLog:
-    return simulate_shearer("legs", SPEC, seed)
-
-
-@cache
-def run(seed: int = 0, use: bool = True, method: str = "batch") -> Run:
-    config = Config.from_dict({"lidar": {"use": use}})
-    return smooth(replace(log(seed), truth=None), config, method)
 
 
 def drawn(seed: int) -> dict[str, float]:
@@ -135,15 +111,6 @@ def test_filters_say_that_they_do_not_use_it() -> None:
 def test_a_scanner_that_is_not_declared_is_named() -> None:
     found = smooth(dataclasses.replace(log(), truth=None, lidar=None)).diagnostics.warnings
     assert any("[lidar]" in line for line in found)
-
-
-def test_what_cannot_take_them_into_account_says_so() -> None:
-    bare = Config.from_dict({"lidar": {"use": False}})
-    for ask in (gn.bound, gn.observe):
-        with pytest.raises(ConfigError, match=r"LiDAR legs into account yet: set lidar\.use = false"):
-            ask(log())
-    assert gn.bound(log(), bare).overall.bound_3d_m > 0
-    assert len(gn.observe(log(), bare).t_s) > 10
 
 
 def test_windows_of_a_record_shorter_than_one() -> None:

@@ -83,7 +83,8 @@ def _record(
         instants = np.arange(first, last + 1)
         new = (instants > first) | (first == 0)  # a block's first state is the last one of the block before
         speeds.append(sense.forward_speed(motion, rot_nm)[new & (instants % every == 0) & (instants > 0)])
-        keep = new & (instants % truth_every == 0)
+        # the last keyframe is at the record's end, wherever the odometer's last sample is
+        keep = new & ((instants % truth_every == 0) | (instants == count))
         quat = rot_nb[keep].as_quat(scalar_first=True)
         rows.append((t_s[keep], motion.pos_n[keep], quat, motion.vel_n[keep]))
         if scanner is not None:

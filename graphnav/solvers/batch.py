@@ -136,6 +136,33 @@ def solve(
     return BatchResult(values, tree, tuple(iterations), converged, order)
 
 
+def elimination(
+    linear: gtsam.GaussianFactorGraph, first: list[int] | None = None
+) -> tuple[gtsam.GaussianBayesTree, list[int]]:
+    """Bayes tree for covariances at one linearization, by the rules of `solve`, and its keys in elimination order.
+
+    Parameters
+    ----------
+    first : as in `solve`: with it by Cholesky where its pivots are sound, by QR otherwise.
+
+    Raises
+    ------
+    SolveError : a singular system (names a variable).
+    """
+    ordering = _ordering(linear, first)
+    order = [ordering.at(k) for k in range(ordering.size())]
+    if first is not None:
+        try:
+            tree = linear.eliminateMultifrontal(ordering)
+            if _sound(tree, order, tree.optimize()):
+                return tree, order
+        except RuntimeError:
+            pass  # indeterminate to Cholesky
+    tree = eliminate(linear, ordering)
+    _check_determined(tree, order)
+    return tree, order
+
+
 def _ordering(linear: gtsam.GaussianFactorGraph, first: list[int] | None) -> gtsam.Ordering:
     """Fill-reducing order; with landmarks nested dissection of what is left after `first`."""
     import gtsam
