@@ -27,6 +27,9 @@ _WEAK = 0.5
 _NAMED = 0.6
 #: ... or that consists of it by this much of its squared size.
 _MAKES_UP = 0.5
+#: One that is known well is named where this much of what is left of its sigma is the direction: known with the others
+#: of it alone, as a sum.
+_ONLY_WITH = 0.95
 
 
 class State(NamedTuple):
@@ -62,8 +65,17 @@ _FACE = ("across the face", "along the face", "up")
 STATES = (*_moving(_ENU, ("east", "north"), _ENU), *_BODY)
 #: The same with what moves turned to the face: right of the first cut's direction, along it, up.
 FACE_STATES = (*_moving(_FACE, ("right", "forward"), _FACE), *_BODY)
-#: Names of the states that do not move: biases, mounting angles and scale.
-CALIBRATION = {state.name for state in _BODY}
+#: The LiDAR's calibration, which follows the others where legs take part: `factors.landmark`'s eight numbers.
+LIDAR_STATES = (
+    State("LiDAR range scale", "LiDAR range", "%", 0.01),
+    State("LiDAR range bias", "LiDAR range", "m", 1.0),
+    State("LiDAR angle bias", "LiDAR angle", "deg", _DEG),
+    State("LiDAR angle scale", "LiDAR angle", "%", 0.01),
+    State("LiDAR angle quadratic", "LiDAR angle", "1/deg", 1 / _DEG),
+    *(State(f"LiDAR mounting about {axis}", "LiDAR mounting", "deg", _DEG) for axis in ("right", "forward", "up")),
+)
+#: Names of the states that do not move: biases, mounting angles and scale, the LiDAR's calibration.
+CALIBRATION = {state.name for state in (*_BODY, *LIDAR_STATES)}
 
 
 @dataclass(frozen=True)
@@ -124,7 +136,7 @@ def _direction(
     column: Array, sigma: Array, named: npt.NDArray[np.bool_], reference: Array, states: tuple[State, ...]
 ) -> Direction:
     share = np.abs(column) / sigma
-    share = np.where(named, share, 0.0) if share[named].any() else share
+    share = np.where(named | (share > _ONLY_WITH), share, 0.0) if share[named].any() else share
     size = float(np.linalg.norm(column))
     chosen = np.flatnonzero((share >= min(_NAMED, share.max())) | (column**2 > _MAKES_UP * size**2))
     chosen = chosen[np.argsort(-np.abs(column[chosen]), kind="stable")]

@@ -9,7 +9,6 @@ from typing import Literal
 from graphnav._observability import Observability
 from graphnav._stages import ProgressHook, Stages
 from graphnav.config import Config
-from graphnav.legs import refuse_legs
 from graphnav.log import SensorLog
 from graphnav.observability import of_filter, of_graph
 from graphnav.smooth import posed
@@ -29,12 +28,13 @@ def observe(
     Parameters
     ----------
     log : a `SensorLog`, or the folder of one; its truth is not used.
-    source : whose covariances: the graph's, or the Kalman filter's (smoothed: its RTS smoother's).
+    source : whose covariances: the graph's, or the Kalman filter's (smoothed: its RTS smoother's), which does not use
+        LiDAR legs.
     kind : "causal" takes each time from the log up to it, "smoothed" from the whole log.
 
     Raises
     ------
-    LogError, ConfigError : bad input, or LiDAR legs, which it does not take into account yet.
+    LogError, ConfigError : bad input.
     SolveError : a variable without information, by name.
     """
     stages = Stages(progress)
@@ -42,10 +42,12 @@ def observe(
         log = replace(log, truth=None)
     problem = posed(log, config or Config(), stages)
     if source == "graph":
-        refuse_legs(problem, "observability of the graph")
         solved = solve_batch(problem, stages)
         with stages.stage("covariance") as tick:
-            return of_graph(problem, solved.data, solved.result.values, causal=kind == "causal", progress=tick)
+            return of_graph(
+                problem, solved.data, solved.result.values,
+                legs=solved.legs, causal=kind == "causal", progress=tick,
+            )  # fmt: skip
     from graphnav.baselines import rts
     from graphnav.baselines.inputs import PRESETS
     from graphnav.filtered import as_inputs

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from factors.increments import npt_int
 from factors.noise import diagonal
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Sigma of the place of a leg that nobody surveyed, m.
 _ANYWHERE_M = 1e4
+#: Sigma of what the declaration holds at zero.
+_HELD = 1e-7
 
 
 def leg_priors(lidar: Lidar, feature: npt_int, height_m: Array, lean_sigma: float) -> list[gtsam.NonlinearFactor]:
@@ -68,4 +71,9 @@ def lidar_sigmas(lidar: Lidar) -> Array:
     ]
     mounting = np.zeros(3) if lidar.mounting_sigma_deg is None else lidar.mounting_sigma_deg * degree
     sigmas = np.array([0.0 if value is None else value for value in declared] + mounting.tolist())
-    return np.asarray(np.maximum(sigmas, 1e-7))
+    return np.asarray(np.maximum(sigmas, _HELD))
+
+
+def lidar_free(lidar: Lidar) -> npt.NDArray[np.bool_]:
+    """Which of the LiDAR's calibration (8,) are estimated: those that are declared above zero."""
+    return np.asarray(lidar_sigmas(lidar) > _HELD)

@@ -19,7 +19,6 @@ from factors import landmark, so3
 from factors.increments import npt_int
 from factors.so3 import Array, from_quaternion, to_quaternion
 from graphnav.config import Config
-from graphnav.errors import ConfigError
 from graphnav.leg_means import Groups, apart, npt_bool, on_the_ground, split, spread, together
 from graphnav.log import Lidar, SensorLog
 from graphnav.problem import D, L, Problem, X
@@ -86,19 +85,6 @@ def uses_legs(problem: Problem) -> bool:
     """Whether legs take part: detections, a declared scanner, and the wish to use them."""
     log = problem.log
     return log.lidar_points is not None and log.lidar is not None and problem.config.lidar.use
-
-
-def refuse_legs(problem: Problem, what: str) -> None:
-    """Refuse what would silently leave the LiDAR out.
-
-    Raises
-    ------
-    ConfigError : the problem has legs.
-    """
-    if uses_legs(problem):
-        raise ConfigError(
-            f"{what} does not take LiDAR legs into account yet: set lidar.use = false for it without them"
-        )
 
 
 def condense(problem: Problem, values: gtsam.Values, gyro_bias_b: Array, accel_bias_b: Array) -> LegReadings:

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array, from_quaternion
-from graphnav._directions import FACE_STATES, STATES, Direction, State
+from graphnav._directions import FACE_STATES, LIDAR_STATES, STATES, Direction, State
 from graphnav._observability import Observability, analyse
 from graphnav.baselines.states import unpacked
+from graphnav.leg_priors import lidar_free, lidar_sigmas
+from graphnav.legs import LegReadings
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import Problem, X
 from graphnav.solvers.joint_states import Progress, graph_covariances
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "FACE_STATES",
+    "LIDAR_STATES",
     "STATES",
     "Direction",
     "Observability",
@@ -41,6 +44,7 @@ def of_graph(
     data: Preintegrated,
     values: gtsam.Values,
     *,
+    legs: LegReadings | None = None,
     causal: bool = False,
     count: int | None = None,
     progress: Progress | None = None,
@@ -51,6 +55,7 @@ def of_graph(
     ----------
     problem, data, values : as solved. The papers' absolute closed-path priors are not part of the graph: they count
         information twice.
+    legs : the readings of LiDAR legs that it was solved with.
     causal : False takes each state from the whole log, True from the log up to its time.
     count : keyframes to look at; None for 200 evenly spread, or 40 where causal (each costs an elimination), closer
         together at the start, where most is learnt.
@@ -60,7 +65,7 @@ def of_graph(
     SolveError : a variable without information.
     """
     keyframes = _spread(problem, count or 40, 2) if causal else _spread(problem, count or 200, 1)
-    covariance = graph_covariances(problem, data, values, keyframes, causal=causal, progress=progress)
+    covariance = graph_covariances(problem, data, values, keyframes, legs=legs, causal=causal, progress=progress)
     pos_n = np.array([values.atPose3(X(i)).translation() for i in range(len(problem.keyframe_s))])
     kind = "causal" if causal else "smoothed"
     return of_covariances(problem, problem.keyframe_s[keyframes], covariance, pos_n, kind)
@@ -93,29 +98,35 @@ def of_covariances(problem: Problem, t_s: Array, covariance: Array, pos_n: Array
 
     Parameters
     ----------
-    t_s : (T,) ascending; covariance : (T, 19, 19) of `STATES` (15 without an odometer).
+    t_s : (T,) ascending; covariance : (T, 19, 19) of `STATES` (15 without an odometer), with 8 more for `LIDAR_STATES`
+        where legs take part; of these the ones whose sigma is not declared are left out, for they are held.
     pos_n : (N, 3) estimated positions at the problem's keyframes.
     kind : "smoothed" or "causal".
     """
-    reference = reference_covariance(problem, t_s)
+    size = 15 + 4 * problem.has_calibration
+    scanner = covariance.shape[-1] > size
+    reference = reference_covariance(problem, t_s, scanner)
     heading_rad = _first_cut(problem, pos_n)
-    states = STATES if heading_rad is None else FACE_STATES
+    states = (STATES if heading_rad is None else FACE_STATES)[:size] + LIDAR_STATES * scanner
     turn = np.eye(covariance.shape[-1])
     if heading_rad is not None:
         s, c = np.sin(heading_rad), np.cos(heading_rad)
         for at in (0, 3, 6):
             turn[at : at + 2, at : at + 2] = [[c, s], [-s, c]]
+    if scanner and problem.log.lidar is not None:
+        free = np.r_[np.ones(size, bool), lidar_free(problem.log.lidar)]
+        turn, states = turn[free], tuple(state for state, kept in zip(states, free, strict=True) if kept)
     turned, known = (turn @ matrix @ turn.T for matrix in (covariance, reference))
     sigma = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
-    return analyse(t_s, turned, sigma, states[: covariance.shape[-1]], kind)
+    return analyse(t_s, turned, sigma, states, kind)
 
 
-def reference_covariance(problem: Problem, t_s: Array) -> Array:
-    """What is known of the states without the log's data, (T, 19, 19) (15 without an odometer).
+def reference_covariance(problem: Problem, t_s: Array, scanner: bool = False) -> Array:
+    """What is known of the states without the log's data, (T, 19, 19) (15 without an odometer, 8 more with a scanner).
 
     Attitude and position: as declared for the start. Velocity: as declared, or the machine's usual speed where that is
     more, which is all that is known of a machine under way. Biases, mounting and scale: the declared sigmas with their
-    declared walk.
+    declared walk. The LiDAR's calibration: the declared sigmas.
     """
     log, initial, noise = problem.log, problem.initial, problem.noise
     rotation = from_quaternion(initial.quat_nb_wxyz)
@@ -131,6 +142,8 @@ def reference_covariance(problem: Problem, t_s: Array) -> Array:
         walk = np.r_[mounting_walk * ones, config.scale_walk_sqrt_h] ** 2 / 3600
         start = np.r_[np.radians(log.odometer.mounting_sigma_deg), log.odometer.scale_sigma] ** 2
         calibration.append(start + walk * elapsed)
+    if scanner and log.lidar is not None:
+        calibration.append(lidar_sigmas(log.lidar) ** 2 * np.ones_like(elapsed))
     own = np.concatenate(calibration, axis=1)
     found = np.zeros((len(own), 9 + own.shape[1], 9 + own.shape[1]))
     found[:, :3, :3] = np.diag(np.maximum(initial.vel_sigma_m_s, usual) ** 2)

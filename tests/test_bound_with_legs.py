@@ -84,9 +84,9 @@ def test_what_the_smoother_leaves_out_has_no_part_in_it() -> None:
 def test_mean_squares_over_eight_seeds() -> None:
     """Squared rms by squared bound, mean over the seeds.
 
-    One log scatters like a mean of four squares (from 48 seeds, whose mean is 1.32 +- 0.13, most of the excess along the
-    face), so for an estimator at the bound this is a chi-square of 32 degrees of freedom by 32: above 1.15^2 in one of
-    ten draws of eight seeds, below 0.5 in one of 130.
+    One log scatters like a mean of four squares (from 48 seeds, whose mean is 1.32 +- 0.13, most of the excess along
+    the face), so for an estimator at the bound this is a chi-square of 32 degrees of freedom by 32: above 1.15^2 in one
+    of ten draws of eight seeds, below 0.5 in one of 120.
     """
     ratio = [limit(seed).overall.efficiency ** 2 for seed in SEEDS]
     assert 0.5 < np.mean(ratio) < 1.15**2

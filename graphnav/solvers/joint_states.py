@@ -1,7 +1,8 @@
 """Joint covariances of all states of single keyframes, from the whole graph or from the graph cut off there.
 
 Pose, velocity, bias and calibration share factors in pairs at most. A factor without information ties those of one
-keyframe together before elimination, so that one clique of the Bayes tree holds them all.
+keyframe together before elimination, so that one clique of the Bayes tree holds them all. With LiDAR legs the rules of
+`graphnav.solvers.batch` say in which order and how to eliminate.
 """
 
 from __future__ import annotations
@@ -13,16 +14,18 @@ import numpy as np
 
 from factors.so3 import Array
 from graphnav.graph import build_graph
+from graphnav.legs import LegReadings
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import B, C, Problem, V, X
-from graphnav.solvers.batch import eliminate
+from graphnav.problem import B, C, D, L, Problem, V, X
+from graphnav.solvers.batch import eliminate, elimination
 from graphnav.solvers.covariance import joint_marginals
+from graphnav.solvers.joint_keys import joint_covariance
 
 if TYPE_CHECKING:
     import gtsam
 
 #: Sizes of the variables by the letter of their key.
-_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1}
+_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1, "l": 4, "d": 8}
 Progress = Callable[[float, float], None]
 
 
@@ -32,6 +35,7 @@ def graph_covariances(
     values: gtsam.Values,
     keyframes: list[int],
     *,
+    legs: LegReadings | None = None,
     causal: bool = False,
     progress: Progress | None = None,
 ) -> Array:
@@ -40,16 +44,26 @@ def graph_covariances(
     Parameters
     ----------
     keyframes : ascending; causal : False for the whole log, True for the log up to each keyframe.
+    legs : the readings of LiDAR legs that take part; a reading counts from the last of its detections on.
 
     Returns
     -------
     (T, 19, 19), or (T, 15, 15) without an odometer: bias and calibration are those of the interval that ends at the
-    keyframe.
+    keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`.
     """
-    linear = build_graph(problem, data).linearize(values)
-    groups = {i: _state_keys(problem, i) for i in keyframes}
-    found = (_causal if causal else _smoothed)(problem, linear, groups, progress)
-    size = 15 + 4 * problem.has_calibration
+    graph, scanner = build_graph(problem, data, legs), list[int]()
+    if legs is not None and problem.log.lidar is not None:
+        graph, scanner = graph.only_legs(legs, problem.log.lidar), [D(0)]
+    groups = {i: (*_state_keys(problem, i), *scanner) for i in keyframes}
+    apart = {key for keys in groups.values() for key in keys}
+    chain = None if graph.chain is None else [key for key in graph.chain if key not in apart]
+    linear = graph.linearize(values)
+    if causal:
+        found = _causal(problem, linear, groups, chain, {} if legs is None else _seen(problem, legs), progress)
+    else:
+        found = _smoothed(linear, groups, chain, progress)
+    own = 15 + 4 * problem.has_calibration
+    size = own + 8 * len(scanner)
     to_n = np.zeros((len(keyframes), size, size))
     for k, i in enumerate(keyframes):
         rotation = values.atPose3(X(i)).rotation().matrix()
@@ -60,46 +74,83 @@ def graph_covariances(
         if problem.has_calibration:
             to_n[k, 15:18, 16:19] = np.eye(3)
             to_n[k, 18, 15] = 1.0
+        to_n[k, own:, own:] = np.eye(size - own)
     return np.asarray(to_n @ np.array([found[i] for i in keyframes]) @ np.swapaxes(to_n, 1, 2))
 
 
 def _smoothed(
-    problem: Problem,
     linear: gtsam.GaussianFactorGraph,
     groups: dict[int, tuple[int, ...]],
+    chain: list[int] | None,
     progress: Progress | None,
 ) -> dict[int, Array]:
     """Joint covariances from one elimination of everything."""
-    import gtsam
-
     for keys in groups.values():
         linear.push_back(_tie(keys))
-    ordering = gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-    order = [ordering.at(k) for k in range(ordering.size())]
-    return joint_marginals(eliminate(linear, ordering), order, _dim, groups, progress)
+    tree, order = elimination(linear, chain)
+    return joint_marginals(tree, order, _dim, groups, progress)
 
 
 def _causal(
     problem: Problem,
     linear: gtsam.GaussianFactorGraph,
     groups: dict[int, tuple[int, ...]],
+    chain: list[int] | None,
+    seen: dict[int, int],
     progress: Progress | None,
 ) -> dict[int, Array]:
-    """Joint covariances from the graph cut off after each keyframe, its state eliminated last."""
+    """Joint covariances from the graph cut off after each keyframe."""
     import gtsam
 
-    waiting = sorted(((_needs(problem, linear.at(f).keys()), f) for f in range(linear.size())), reverse=True)
+    waiting = sorted(((_needs(problem, linear.at(f).keys(), seen), f) for f in range(linear.size())), reverse=True)
     so_far = gtsam.GaussianFactorGraph()
     found: dict[int, Array] = {}
     for done, (i, keys) in enumerate(groups.items(), 1):
         while waiting and waiting[-1][0] <= i:
             so_far.push_back(linear.at(waiting.pop()[1]))
         so_far.push_back(_tie(keys))
-        ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(so_far, list(keys))
-        last = [ordering.at(k) for k in range(ordering.size() - len(keys), ordering.size())]
-        found |= joint_marginals(eliminate(so_far, ordering), last, _dim, {i: keys})
+        if chain is None:
+            found |= _state_last(so_far, i, keys)
+        else:
+            tree, order = elimination(so_far, _first(so_far, chain))
+            found[i] = joint_covariance(tree, order, _dim, list(keys))
         if progress is not None:
             progress(done, len(groups))
+    return found
+
+
+def _state_last(so_far: gtsam.GaussianFactorGraph, i: int, keys: tuple[int, ...]) -> dict[int, Array]:
+    """The joint covariance of keyframe i's `keys`, eliminated last so that nothing below need be looked at."""
+    import gtsam
+
+    ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(so_far, list(keys))
+    last = [ordering.at(k) for k in range(ordering.size() - len(keys), ordering.size())]
+    return joint_marginals(eliminate(so_far, ordering), last, _dim, {i: keys})
+
+
+def _first(so_far: gtsam.GaussianFactorGraph, chain: list[int]) -> list[int]:
+    """What to eliminate first: keys tied to nothing yet, which METIS does not survive, and the chain so far."""
+    known: set[int] = set()
+    tied: set[int] = set()
+    for f in range(so_far.size()):
+        keys = so_far.at(f).keys()
+        known.update(keys)
+        if len(keys) > 1:
+            tied.update(keys)
+    return [*sorted(known - tied), *(key for key in chain if key in tied)]
+
+
+def _seen(problem: Problem, legs: LegReadings) -> dict[int, int]:
+    """Keyframe from which on a reading is known, by the key of its pose, and a leg, by its own key.
+
+    Detections go to the nearest window, so a window is over half way to the next.
+    """
+    t_s, centre = problem.keyframe_s, np.unique(legs.keyframe)
+    over_s = np.append((t_s[centre][1:] + t_s[centre][:-1]) / 2, t_s[-1])
+    over = dict(zip(centre.tolist(), np.searchsorted(t_s, over_s).tolist(), strict=True))
+    found = {X(i): over[i] for i in over}
+    for leg, i in zip(legs.leg.tolist(), legs.keyframe.tolist(), strict=True):
+        found[L(leg)] = min(over[i], found.get(L(leg), over[i]))
     return found
 
 
@@ -109,12 +160,20 @@ def _state_keys(problem: Problem, i: int) -> tuple[int, ...]:
     return (*keys, C(int(problem.calibration_epoch[interval]))) if problem.has_calibration else keys
 
 
-def _needs(problem: Problem, keys: list[int]) -> int:
-    """The last keyframe that a factor on `keys` needs; an epoch begins with the interval that ends at it."""
+def _needs(problem: Problem, keys: list[int], seen: dict[int, int]) -> int:
+    """The last keyframe that a factor on `keys` needs; an epoch begins with the interval that ends at it.
+
+    Parameters
+    ----------
+    seen : from `_seen`; what is known of a leg never seen is never needed.
+    """
     needed = 0
+    of_leg = any(key >> 56 == ord("l") for key in keys)
     for key in keys:
         letter, index = chr(key >> 56), key & ((1 << 56) - 1)
-        if letter in "xv":
+        if of_leg and letter in "xl":
+            needed = max(needed, seen.get(key, len(problem.keyframe_s)))
+        elif letter in "xv":
             needed = max(needed, index)
         elif letter in "bc" and index:
             epochs = problem.bias_epoch if letter == "b" else problem.calibration_epoch
