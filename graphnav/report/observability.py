@@ -77,7 +77,8 @@ def plot(observability: Observability, path: str | Path) -> Path:
             axes.set_title(f"{group[0].upper()}{group[1:]}")
         for axes in panels.ravel()[len(groups) :]:
             axes.set_axis_off()
-        for axes in panels[-1]:
+        for axes in panels.ravel()[len(groups) - 2 : len(groups)]:
+            axes.tick_params(labelbottom=True)
             clock.label(axes)
         figure.suptitle(_headline(o), fontsize=11, x=0.01, ha="left")
         return _save(figure, Path(path))
