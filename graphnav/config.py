@@ -109,6 +109,7 @@ class LidarConfig(_Section):
         None, gt=0, description="error of bringing them together; default from the IMU's and odometer's declared noise"
     )
     lean_sigma_deg: float = Field(10.0, gt=0, description="how far from upright a leg may stand")
+    advances: bool = Field(True, description="legs of successive cycles are tied by the push of their support")
 
 
 class FilterConfig(_Section):

@@ -15,6 +15,7 @@ from graphnav._memory import release
 from graphnav._stages import Stages
 from graphnav.graph import SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
+from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.outcome import estimated_biases
@@ -107,7 +108,8 @@ def _solve_rounds(
     for round_ in range(config.bias_move_rounds):
         with stages.stage("assemble"):
             readings = _leg_readings(problem, data, values)
-            graph = build_graph(problem, data, readings)
+            advances = None if readings is None else leg_advances(problem, readings, values)
+            graph = build_graph(problem, data, readings, advances)
             for factor in predicted:
                 graph.native.add(factor)
         with stages.stage("solve") as tick:
