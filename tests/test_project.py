@@ -64,6 +64,7 @@ FLOORS = (
         "graphnav.outcome",
         "graphnav.solution",
         "graphnav.filtered",
+        "graphnav.leg_filtered",
         "graphnav.analysis",
         "graphnav.compare",
         "graphnav.bound",

@@ -78,7 +78,8 @@ def choose(points: LidarPoints, cycles: tuple[Cycle, ...], selection: Selection,
     Parameters
     ----------
     cycles : cuts, whose direction holds until the next one starts.
-    margin_m : how much nearer than `nearest_m` a leg may seem before it is given up: noise must not make it come and go.
+    margin_m : how much nearer than `nearest_m` a leg may seem before it is given up: noise must not make it come
+        and go.
     """
     first = np.flatnonzero(np.diff(points.t_s, prepend=-np.inf) > 0)
     t_s = points.t_s[first]
@@ -121,7 +122,7 @@ def largest_distance(points: LidarPoints, cut: Cycle, count: int, spacing_m: flo
     # a tenth may have been lost from sight early
     reach = min(float(np.quantile(-along[last[passed]], 0.1)), float(np.quantile(along[first[came]], 0.1)))
     spacing = spacing_m if spacing_m is not None else _spacing(points.t_s[inside], along)
-    return max(0.0, np.floor((reach - count * spacing) / _STEP_M) * _STEP_M)
+    return max(0.0, float(np.floor((reach - count * spacing) / _STEP_M)) * _STEP_M)
 
 
 def _spacing(t_s: Array, along: Array) -> float:
@@ -167,7 +168,7 @@ def _track(
             j = column[i]
             fresh = j < 0
             if fresh:
-                j = np.argmin(held)
+                j = int(np.argmin(held))
                 held[j], seen_s[j] = feature[low + i], t_s[k]
             row[k, j] = low + i
             status[k, j] = 1 if fresh else 2

@@ -19,7 +19,7 @@ from graphnav.baselines import kalman, strapdown
 from graphnav.baselines.ekf import Progress
 from graphnav.baselines.innovations import Innovations
 from graphnav.baselines.inputs import PRESETS, Inputs
-from graphnav.baselines.leg_choice import FRESH, MEASURED, Chosen, Selection, choose
+from graphnav.baselines.leg_choice import FRESH, MEASURED, Selection, choose
 from graphnav.baselines.leg_measurements import INERTIAL, KINDS, interval, leg, leg_rows
 from graphnav.baselines.plan import prior_covariance, walks
 from graphnav.baselines.states import PHI, POS, SIZE, VEL, Nominal
@@ -40,15 +40,16 @@ class Scanner:
     ----------
     rotation_bs, lever_arm_b : (3, 3) and (3,) mounting that is believed in.
     sigma : (3,) noise of range (m), bearing (rad) and height above the scan plane (m).
-    leg_n : (3,) direction of the legs along which the point that is seen slides as the scan plane turns; None for the
-        paper's fixed points.
+    upright : whether the point that is seen slides up and down the leg as the scan plane turns. The paper's points are
+        fixed: 9 m away a machine that pitches by half a degree sees another point, 8 cm higher, and takes it for its
+        own descent.
     walk_m_sqrt_s : random walk of a leg's height.
     """
 
     rotation_bs: Array
     lever_arm_b: Array
     sigma: Array
-    leg_n: Array | None
+    upright: bool
     walk_m_sqrt_s: float
 
 
@@ -62,10 +63,10 @@ class LegFilter:
     """
 
     def __init__(self, inputs: Inputs, scanner: Scanner, selection: Selection) -> None:
-        points, initial = inputs.log.lidar_points, inputs.initial
-        assert points is not None
+        points, lidar, initial = inputs.log.lidar_points, inputs.log.lidar, inputs.initial
+        assert points is not None and lidar is not None
         self.inputs, self.scanner = inputs, scanner
-        self.chosen: Chosen = choose(points, inputs.cycles, selection, _MARGIN_SIGMAS * float(inputs.log.lidar.range_sigma_m))
+        self.chosen = choose(points, inputs.cycles, selection, _MARGIN_SIGMAS * lidar.range_sigma_m)
         self._bound = np.searchsorted(self.chosen.t_s, inputs.keyframe_s + 1e-6)
         self.nominal = Nominal(
             from_quaternion(initial.quat_nb_wxyz), initial.vel_n_m_s.copy(), initial.pos_n_m.copy(),
@@ -160,9 +161,9 @@ class LegFilter:
         origin = np.concatenate([self.nominal.pos_n[None], positions])
         place_n = np.empty((*status.shape, 3))
         for e in range(len(status)):
-            if s.leg_n is not None:
-                out_of_plane = (self._place_n - origin[e]) @ (axis[e + 1] - axis[e])
-                self._place_n = self._place_n - np.outer(out_of_plane / (axis[e + 1] @ s.leg_n), s.leg_n)
+            if s.upright:
+                left_plane = (self._place_n - origin[e]) @ (axis[e + 1] - axis[e])
+                self._place_n[:, 2] -= left_plane / axis[e + 1, 2]
             for j in np.flatnonzero(status[e] == FRESH):
                 range_m, angle_rad = readings[0][e, j], readings[1][e, j]
                 self._place_n[j] = seen_leg(
