@@ -69,12 +69,11 @@ def fit(inputs: Inputs, scanner: Scanner, wanted: Wanted) -> Fitted:
     if distance_m is None:
         distance_m = largest_distance(points, cut, wanted.count, lidar.feature_spacing_m)
     modes = AUTOMATIC_MODES if wanted.mode is None else (wanted.mode,)
-    arrival_m = {
-        mode: arrival(inputs, scanner, Selection(wanted.count, mode, distance_m), cut)
-        for mode in (modes if wanted.picm or len(modes) > 1 else ())
-    }
+    if len(modes) == 1 and not wanted.picm:
+        return Fitted(Selection(wanted.count, modes[0], distance_m), scanner, np.zeros(3), {})
     length_m = _length_m(inputs)
-    best = min(modes, key=lambda mode: abs(arrival_m[mode][1] - length_m)) if len(modes) > 1 else modes[0]
+    arrival_m = {mode: arrival(inputs, scanner, Selection(wanted.count, mode, distance_m), cut) for mode in modes}
+    best = min(modes, key=lambda mode: abs(arrival_m[mode][1] - length_m))
     selection, eta = Selection(wanted.count, best, distance_m), np.zeros(3)
     if wanted.picm:
         eta = correction(arrival_m[best], length_m)
