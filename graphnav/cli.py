@@ -120,6 +120,10 @@ def _add_import(group: Any) -> None:
     _add_log_output(parser)
     parser.add_argument("--wheel-scale", type=float, help="comma2k19: known scale-factor error of the wheels")
     parser.add_argument("--position-rate-hz", type=float, help="euroc: rate of the positions given")
+    parser.add_argument("--dataset", type=int, choices=(1, 2), help="aer1513: on a line or on a floor (default 2)")
+    places = "aer1513: whether the tubes are surveyed (default known)"
+    parser.add_argument("--landmarks", choices=("known", "unknown"), help=places)
+    parser.add_argument("--interval-s", type=float, help="aer1513: least time between laser scans (default 1)")
 
 
 def _add_simulate(group: Any) -> None:

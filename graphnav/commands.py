@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 #: Format -> (module with `convert`, the options it takes).
 IMPORTERS = {
+    "aer1513": ("graphnav.readers.aer1513", ("dataset", "landmarks", "interval_s")),
     "comma2k19": ("graphnav.readers.comma2k19", ("wheel_scale",)),
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
@@ -56,7 +57,8 @@ def import_log(arguments: argparse.Namespace) -> None:
     from graphnav.report.terminal import working
 
     module, options = IMPORTERS[arguments.format]
-    given = {name: getattr(arguments, name) for name in ("wheel_scale", "position_rate_hz")}
+    every = sorted({name for _, names in IMPORTERS.values() for name in names})
+    given = {name: getattr(arguments, name) for name in every}
     chosen = {name: value for name, value in given.items() if value is not None}
     foreign = sorted(set(chosen) - set(options))
     if foreign:

@@ -76,6 +76,14 @@ class SolveError(GraphnavError):
         return cls.undetermined(ord(found[1]) << 56 | int(found[2]))
 
     @classmethod
+    def not_converged(cls, iterations: int, step_sigmas: float) -> SolveError:
+        """The error for a solution that still moved when the iterations ended."""
+        return cls(
+            f"not converged after {iterations} iterations (last step {step_sigmas:.3g} sigma);"
+            " raise batch.max_iterations, or check the log's sigmas"
+        )
+
+    @classmethod
     def undetermined(cls, key: int) -> SolveError:
         """The error for a variable that no measurement determines, given its key."""
         letter, number = chr(key >> 56), key & ((1 << 56) - 1)

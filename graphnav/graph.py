@@ -12,6 +12,7 @@ from factors.noise import diagonal
 from factors.so3 import from_quaternion
 from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings
+from graphnav.log import InitialState
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
 
@@ -111,16 +112,10 @@ def _common_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
 def _priors(problem: Problem) -> list[FactorAt]:
     import gtsam
 
-    initial = problem.initial
-    rotation = from_quaternion(initial.quat_nb_wxyz)
-    cov = np.zeros((6, 6))
-    cov[:3, :3] = np.diag(np.radians(initial.att_sigma_deg) ** 2)
-    cov[3:, 3:] = rotation.T @ np.diag(initial.pos_sigma_m**2) @ rotation
-    pose = gtsam.Pose3(gtsam.Rot3(rotation), initial.pos_n_m)
-    noise = problem.noise
+    initial, noise = problem.initial, problem.noise
     bias = diagonal(np.r_[np.full(3, noise.accel_bias), np.full(3, noise.gyro_bias)])
     found = [
-        FactorAt(0, gtsam.PriorFactorPose3(X(0), pose, gtsam.noiseModel.Gaussian.Covariance(cov))),
+        FactorAt(0, pose_prior(initial)),
         FactorAt(0, gtsam.PriorFactorVector(V(0), initial.vel_n_m_s, diagonal(initial.vel_sigma_m_s))),
         FactorAt(1, gtsam.PriorFactorConstantBias(B(0), gtsam.imuBias.ConstantBias(), bias)),
     ]
@@ -129,6 +124,18 @@ def _priors(problem: Problem) -> list[FactorAt]:
         sigmas = np.r_[odometer.scale_sigma, np.radians(odometer.mounting_sigma_deg)]
         found.append(FactorAt(1, gtsam.PriorFactorVector(C(0), np.zeros(4), diagonal(sigmas))))
     return found
+
+
+def pose_prior(initial: InitialState) -> gtsam.NonlinearFactor:
+    """The declared pose at the first keyframe."""
+    import gtsam
+
+    rotation = from_quaternion(initial.quat_nb_wxyz)
+    cov = np.zeros((6, 6))
+    cov[:3, :3] = np.diag(np.radians(initial.att_sigma_deg) ** 2)
+    cov[3:, 3:] = rotation.T @ np.diag(initial.pos_sigma_m**2) @ rotation
+    pose = gtsam.Pose3(gtsam.Rot3(rotation), initial.pos_n_m)
+    return gtsam.PriorFactorPose3(X(0), pose, gtsam.noiseModel.Gaussian.Covariance(cov))
 
 
 def _epoch_walks(problem: Problem) -> list[FactorAt]:

@@ -49,16 +49,14 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
     """Find cycles, closed-path points, rest and fixes, and place the keyframes.
 
     Policy: a keyframe at the start and end of the IMU record, at the exact time of every measurement that needs one
-    (closed-path points, fixes, surveyed points, events), every `interval_s` (and `distance_m`) in between.
+    (closed-path points, fixes, surveyed points, events), every `interval_s` (and `distance_m`) in between. Without an
+    IMU the chain of relative poses is the record, and LiDAR detections need one too: wheels do not carry them far.
 
     Parameters
     ----------
     rest_s : (K, 2) spans at rest where they are known already; None finds them.
     """
-    imu = log.imu
-    if imu is None:
-        raise LogError("no imu table", where=f"log {log.name}", fix="smoothing needs an IMU")
-    start, end = imu.start_s, float(imu.t_s[-1])
+    start, end = _record(log)
     cycles = find_cycles(log)
     use_path = config.closed_path.form != "off" and log.odometer is not None
     closed = closed_path_points(log, cycles, config.closed_path.interval_m) if use_path else ()
@@ -67,10 +65,22 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
     wanted = [p.first_s for p in closed] + [p.second_s for p in closed] + [t for t, _, _ in fixes]
     if config.keyframes.events:
         wanted += [t for c in cycles for t in (c.start_s, c.end_s) if t is not None]
+    if log.imu is None and log.lidar_points is not None and log.lidar is not None and config.lidar.use:
+        wanted += np.unique(log.lidar_points.t_s).tolist()
     times = place_keyframes(start, end, np.array(wanted, float), config, log)
     found = rest_spans(log) if rest_s is None and config.rest.use else rest_s
     rest = found if found is not None and config.rest.use else np.zeros((0, 2))
     return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes)
+
+
+def _record(log: SensorLog) -> tuple[float, float]:
+    """Start and end of what carries the state: the IMU, or relative poses where there is none."""
+    if log.imu is not None:
+        return log.imu.start_s, float(log.imu.t_s[-1])
+    if log.relative_pose is not None:
+        return float(log.relative_pose.t_from_s[0]), float(log.relative_pose.t_to_s[-1])
+    fix = "smoothing needs an IMU, or relative poses that follow each other"
+    raise LogError("no imu table and no relative_pose table", where=f"log {log.name}", fix=fix)
 
 
 def place_keyframes(start_s: float, end_s: float, wanted_s: Array, config: Config, log: SensorLog) -> Array:

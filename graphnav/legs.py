@@ -17,8 +17,9 @@ from factors import landmark, so3
 from factors.increments import npt_int
 from factors.landmark import seen_leg
 from factors.so3 import Array, from_quaternion, to_quaternion
+from graphnav.config import Config, LidarConfig
 from graphnav.errors import ConfigError
-from graphnav.log import Lidar, LidarPoints
+from graphnav.log import Lidar, LidarPoints, SensorLog
 from graphnav.problem import D, L, Problem, X
 from graphnav.trajectory import ImuBridge, Trajectory
 
@@ -87,17 +88,22 @@ def condense(problem: Problem, values: gtsam.Values, gyro_bias_b: Array, accel_b
     """
     import gtsam
 
-    lidar, points = problem.log.lidar, problem.log.lidar_points
-    assert lidar is not None and points is not None
     poses = gtsam.utilities.extractPose3(gtsam.utilities.allPose3s(values))
     rotation, pos = poses[:, :9].reshape(-1, 3, 3), poses[:, 9:]
     vel = np.gradient(pos, problem.keyframe_s, axis=0)
     bridge = ImuBridge(problem.imu.samples, gyro_bias_b, accel_bias_b, problem.gravity_m_s2, problem.earth_rate_n)
     way = Trajectory(problem.keyframe_s, pos, to_quaternion(rotation), vel, None, bridge)
-    inside = (points.t_s >= problem.keyframe_s[0]) & (points.t_s <= problem.keyframe_s[-1])
+    return gathered(problem.log, problem.config, way, _centres(problem.keyframe_s, _window_s(problem)))
+
+
+def gathered(log: SensorLog, config: Config, way: Trajectory, centre: npt_int) -> LegReadings:
+    """Readings brought together at the keyframes `centre` of a path that is right over the spans between them."""
+    lidar, points = log.lidar, log.lidar_points
+    assert lidar is not None and points is not None
+    rotation, pos = way.rotation_nb, way.pos_n
+    inside = (points.t_s >= way.t_s[0]) & (points.t_s <= way.t_s[-1])
     t_s, feature = points.t_s[inside], points.feature[inside]
-    centre = _centres(problem.keyframe_s, _window_s(problem))
-    window = _nearest(problem.keyframe_s[centre], t_s)
+    window = _nearest(way.t_s[centre], t_s)
     places = _in_n(way, points, inside, lidar)
     names, leg = np.unique(feature, return_inverse=True)
     group, member, count = np.unique(window * len(names) + leg, return_inverse=True, return_counts=True)
@@ -109,7 +115,7 @@ def condense(problem: Problem, values: gtsam.Values, gyro_bias_b: Array, accel_b
     range_m = np.hypot(x, y)
     seen = np.zeros(len(names), np.int64)
     seen[which[::-1]] = np.arange(len(which))[::-1]
-    sigma = _sigma(problem, lidar, range_m, count)
+    sigma = _sigma(config.lidar, lidar, range_m, count)
     return LegReadings(at, which, count, range_m, np.arctan2(-x, y), off, sigma, names, mean[seen])
 
 
@@ -120,9 +126,8 @@ def _window_s(problem: Problem) -> float:
     return min(config.window_s, config.window_m / usual) if usual > 0 else config.window_s
 
 
-def _sigma(problem: Problem, lidar: Lidar, range_m: Array, count: npt_int) -> Array:
+def _sigma(config: LidarConfig, lidar: Lidar, range_m: Array, count: npt_int) -> Array:
     """Noise of a mean reading: the detections' own, and what it takes to bring them together (K, 2)."""
-    config = problem.config.lidar
     own = np.array([lidar.range_sigma_m, np.radians(lidar.angle_sigma_deg)]) / np.sqrt(count)[:, None]
     return np.column_stack([np.hypot(own[:, 0], config.together_m), np.hypot(own[:, 1], config.together_m / range_m)])
 

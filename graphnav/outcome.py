@@ -171,6 +171,8 @@ def warnings(problem: Problem, biases_moved: bool) -> list[str]:
         found.append("[face] is declared but no cut was found: no closed path; check events, or face.length_m")
     if log.lidar_points is not None and log.lidar is None:
         found.append("the table lidar_points is not used: declare the scanner in a section [lidar]")
+    if log.relative_pose is not None:
+        found.append("the table relative_pose is not used beside an IMU")
     if biases_moved:
         found.append("the biases still moved after the last preintegration: raise batch.bias_move_rounds")
     return found

@@ -110,7 +110,8 @@ def pose_problem(log: SensorLog, config: Config, frontend: Frontend) -> Problem:
     LogError : no IMU, no initial state, a hole in a record.
     """
     if log.imu is None:
-        raise LogError("no imu table", where=f"log {log.name}", fix="smoothing needs an IMU")
+        fix = "without one, a table relative_pose can be smoothed by batch"
+        raise LogError("no imu table, which this needs", where=f"log {log.name}", fix=fix)
     if log.initial is None:
         raise LogError("missing", where="log.toml, [initial]", fix="give the initial pose with its sigmas")
     imu = log.imu

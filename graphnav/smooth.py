@@ -1,7 +1,8 @@
 """The pipeline: a recorded log in, the best trajectory it supports out, with covariances.
 
 Frontend (cycles, closed path, rest, keyframes) - then by the method: a factor graph (assemble, solve, covariances), or
-a baseline (Kalman filter, RTS smoother, dead reckoning) on the same problem.
+a baseline (Kalman filter, RTS smoother, dead reckoning) on the same problem. A log whose motion comes from relative
+poses in place of an IMU has a smaller graph of its own (`graphnav.chained`).
 """
 
 from __future__ import annotations
@@ -55,7 +56,12 @@ def smooth(
     if method not in METHODS:
         raise ConfigError(f'unknown method "{method}"; known: {", ".join(METHODS)}')
     stages = Stages(progress)
-    problem = posed(log, config or Config(), stages)
+    log = _opened(log, stages)
+    if log.imu is None and log.relative_pose is not None:
+        from graphnav.chained import run_chain
+
+        return run_chain(log, config or Config(), method, stages)
+    problem = _posed(log, config or Config(), stages)
     if method in GRAPH_METHODS:
         return _by_graph(problem, method, stages)
     from graphnav.filtered import run_baseline
@@ -65,11 +71,10 @@ def smooth(
 
 def posed(log: SensorLog | str | Path, config: Config, stages: Stages) -> Problem:
     """Read and check a log, find cycles and rest, place the keyframes."""
-    with stages.stage("read"):
-        if not isinstance(log, SensorLog):
-            from graphnav.readers import read
+    return _posed(_opened(log, stages), config, stages)
 
-            log = replace(read(log), truth=None)
+
+def _posed(log: SensorLog, config: Config, stages: Stages) -> Problem:
     with stages.stage("frontend"):
         rest = rest_spans(log)
         refuse_wrong_units(log, rest)
@@ -77,14 +82,21 @@ def posed(log: SensorLog | str | Path, config: Config, stages: Stages) -> Proble
         return pose_problem(log, config, frontend)
 
 
+def _opened(log: SensorLog | str | Path, stages: Stages) -> SensorLog:
+    """The log; one that is read here loses its truth, which is for judging alone."""
+    with stages.stage("read"):
+        if isinstance(log, SensorLog):
+            return log
+        from graphnav.readers import read
+
+        return replace(read(log), truth=None)
+
+
 def _by_graph(problem: Problem, method: str, stages: Stages) -> Run:
     solved = (solve_batch if method == "batch" else solve_isam2)(problem, stages)
     if not solved.result.converged:
-        last = solved.result.iterations[-1]
-        raise SolveError(
-            f"not converged after {len(solved.result.iterations)} iterations (last step {last.step_sigmas:.3g} sigma);"
-            " raise batch.max_iterations, or check the log's sigmas"
-        )
+        steps = solved.result.iterations
+        raise SolveError.not_converged(len(steps), steps[-1].step_sigmas)
     with stages.stage("covariance") as tick:
         blocks = covariances(problem, solved.result, tick) if problem.config.covariance else None
         ends = stops(problem, solved.result) if problem.config.covariance else None

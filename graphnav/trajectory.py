@@ -9,6 +9,7 @@ import numpy as np
 from factors import so3
 from factors.increments import Samples, compensated_increments
 from factors.inertial import cumulate, predict
+from factors.relative_pose import Chain, relative
 from factors.so3 import Array
 from graphnav.errors import GraphnavError
 
@@ -44,9 +45,9 @@ class Trajectory:
     t_s : (N,) ascending times, s.
     pos_n : (N, 3) position of the body in n, m.
     quat_nb : (N, 4) unit quaternions w, x, y, z, n <- b.
-    vel_n : (N, 3) velocity in n, m/s.
+    vel_n : (N, 3) velocity in n, m/s; from a chain of relative poses the mean up to the next keyframe.
     cov : (N, 9, 9) or None; order attitude (body, right perturbation, rad), position (n, m), velocity (n, m/s).
-    bridge : what `at` propagates with between keyframes; without it `at` interpolates.
+    bridge : what `at` propagates with between keyframes, an IMU or measured motions; without it `at` interpolates.
     """
 
     t_s: Array
@@ -54,7 +55,7 @@ class Trajectory:
     quat_nb: Array
     vel_n: Array
     cov: Array | None = None
-    bridge: ImuBridge | None = field(default=None, repr=False)
+    bridge: ImuBridge | Chain | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         count = len(self.t_s)
@@ -89,8 +90,9 @@ class Trajectory:
 
         With a `bridge` the IMU is integrated from the keyframe before each time, and what is left at the keyframe
         after it is spread over the interval (attitude linearly; position and velocity by the cubic that meets both
-        states). Without one: cubic Hermite positions and spherical linear attitudes. The covariance between keyframes
-        is the linear interpolation of theirs.
+        states). Where the bridge is a chain of motions these carry the pose, and what is left is spread linearly.
+        Without one: cubic Hermite positions and spherical linear attitudes. The covariance between keyframes is the
+        linear interpolation of theirs.
 
         Raises
         ------
@@ -108,6 +110,8 @@ class Trajectory:
             return self._take(np.zeros(len(wanted), int), wanted)
         if self.bridge is None:
             return self._interpolated(times)._take(inverse, wanted)
+        if isinstance(self.bridge, Chain):
+            return self._along(self.bridge, times)._take(inverse, wanted)
         block = self._interval(times) // _BLOCK
         parts = [self._propagated(part) for part in np.split(times, np.flatnonzero(np.diff(block)) + 1)]
         return _joined(parts)._take(inverse, wanted)
@@ -141,8 +145,20 @@ class Trajectory:
         pos = self.pos_n[k] + self.vel_n[k] * u * span + pos
         return Trajectory(times, pos, quat, self.vel_n[k] + vel, self._covariance(times))
 
+    def _along(self, chain: Chain, times: Array) -> Trajectory:
+        k, rotation = self._interval(times), self.rotation_nb
+        turned, moved = chain.at(self.t_s)
+        to_time = relative(turned[k], moved[k], *chain.at(times))
+        whole = relative(turned[k], moved[k], turned[k + 1], moved[k + 1])
+        u = ((times - self.t_s[k]) / (self.t_s[k + 1] - self.t_s[k]))[:, None]
+        left_turn = so3.log(so3.transpose(rotation[k] @ whole[0]) @ rotation[k + 1])
+        left_pos = self.pos_n[k + 1] - self.pos_n[k] - (rotation[k] @ whole[1][..., None])[..., 0]
+        pos = self.pos_n[k] + (rotation[k] @ to_time[1][..., None])[..., 0] + u * left_pos
+        quat = so3.to_quaternion(rotation[k] @ to_time[0] @ so3.exp(u * left_turn))
+        return Trajectory(times, pos, quat, self.vel_n[k], self._covariance(times))
+
     def _propagated(self, times: Array) -> Trajectory:
-        assert self.bridge is not None
+        assert isinstance(self.bridge, ImuBridge)
         bridge = self.bridge
         k = self._interval(times)
         lo, hi = int(k[0]), int(k[-1]) + 1

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks._lego_legs import in_sight, judge, rms, scanner_poses
+from benchmarks.real_legs import lego_rows
 from factors import so3
 from graphnav.errors import LogError
 from graphnav.frontends.legs import legs, planar_motion
@@ -181,3 +182,15 @@ def test_what_is_damaged_is_named(small: Path, name: str, text: str | None, mess
 def test_a_source_is_needed() -> None:
     with pytest.raises(LogError, match="needs a source folder"):
         lego.convert(None)
+
+
+# The path ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.data
+def test_path_from_tracks_and_cylinders(folder: Path) -> None:
+    """Asked for is 30 mm rms against the reference, nothing aligned, cylinders known from the file or not."""
+    found = {figure.name: figure.value for figure in lego_rows(folder)}
+    assert found["lego, cylinders known: position error"] < 30.0
+    assert found["lego, cylinders unknown: position error"] < 30.0
+    assert found["lego, tracks alone: position error"] > 50.0

@@ -52,6 +52,7 @@ FLOORS = (
     },
     {
         "graphnav.graph",
+        "graphnav.chain_graph",
         "graphnav.legs",
         "graphnav.leg_priors",
         "graphnav.initial",
@@ -65,6 +66,7 @@ FLOORS = (
         "graphnav.solution",
         "graphnav.filtered",
         "graphnav.leg_filtered",
+        "graphnav.chained",
         "graphnav.analysis",
         "graphnav.compare",
         "graphnav.bound",

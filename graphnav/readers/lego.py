@@ -22,6 +22,7 @@ import numpy as np
 from graphnav._schema import Array
 from graphnav.errors import LogError
 from graphnav.log import Frames, InitialState, Lidar, LidarScans, Odometer, RelativePose, SensorLog, Truth
+from graphnav.readers.wheels import upright, wheel_motions
 
 _BEAM_RAD, _MIDDLE_BEAM, _TURNED_RAD = 0.006135923151543, 330, -0.06981317
 #: The scanner turns once in 0.1 s, 232 deg of it are recorded.
@@ -73,7 +74,7 @@ def convert(source: str | Path | None, *, raw_reference: bool = False) -> Sensor
     centre = np.array(REFERENCE_CENTRE_M)
     place = seen_m if raw_reference else centre + (seen_m - centre) / REFERENCE_SCALE
     heading = headings(t_s, place, wheels_t_s, ticks)
-    truth = Truth(t_s=t_s, pos_n_m=np.column_stack([place, np.zeros(len(t_s))]), quat_nb=_upright(heading - np.pi / 2))
+    truth = Truth(t_s=t_s, pos_n_m=np.column_stack([place, np.zeros(len(t_s))]), quat_nb=upright(heading - np.pi / 2))
     return SensorLog(
         name="lego",
         frames=Frames(latitude_deg=52.4),  # Hannover; not stated, and of no effect without an IMU
@@ -179,21 +180,18 @@ def _odometer(t_s: Array, ticks: Array) -> Odometer:
 
 
 def _motion(t_s: Array, ticks: Array) -> RelativePose:
-    """Motion of b between rows, on the arc that both wheels say, in the default camera axes (right, down, forward)."""
+    """Motion of b between rows, on the arc that both tracks say."""
     step = np.diff(ticks, axis=0) * _M_PER_TICK
-    turn = (step[:, 1] - step[:, 0]) / _TRACKS_M
-    gone, half = step.mean(axis=1), turn / 2
-    forward, right = gone * np.cos(half), -gone * np.sin(half)
-    # the mark swings about the axle, which is behind it
-    right, forward = right + _AXLE_B_M[1] * np.sin(turn), forward - _AXLE_B_M[1] * (np.cos(turn) - 1)
-    zero = np.zeros(len(turn))
-    return RelativePose(
-        t_from_s=t_s[:-1],
-        t_to_s=t_s[1:],
-        pos_m=np.column_stack([right, zero, forward]),
-        quat=np.column_stack([np.cos(half), zero, -np.sin(half), zero]),
-        sigma_m=0.002 + 0.1 * np.abs(gone),
-        sigma_rad=0.002 + 0.1 * np.abs(turn),
+    turn, gone = (step[:, 1] - step[:, 0]) / _TRACKS_M, step.mean(axis=1)
+    sigma_m = 0.002 + 0.1 * np.abs(gone)
+    return wheel_motions(
+        t_s,
+        gone,
+        turn,
+        sigma_forward_m=sigma_m,
+        sigma_side_m=sigma_m,
+        sigma_turn_rad=0.002 + 0.1 * np.abs(turn),
+        axle_b_m=_AXLE_B_M,
     )
 
 
@@ -206,12 +204,6 @@ def _initial(truth: Truth) -> InitialState:
         vel_n_m_s=np.zeros(3),
         vel_sigma_m_s=np.full(3, 0.02),
     )
-
-
-def _upright(yaw_rad: Array) -> Array:
-    """Quaternions of turns about up."""
-    zero = np.zeros(len(yaw_rad))
-    return np.column_stack([np.cos(yaw_rad / 2), zero, zero, np.sin(yaw_rad / 2)])
 
 
 def _rows(path: Path, letter: str, columns: int | None, skip: int = 1, least: int = 1) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from factors import so3
 from graphnav._schema import Array
+from graphnav.frontends.motion_chain import body_motions
 from graphnav.log import RelativePose, SensorLog, Stereo
 
 #: Without a sensor that turns are measured with, the machine may turn as fast as this (1-sigma; chosen: a shearer).
@@ -150,15 +151,10 @@ def _odometer_and_gyro(log: SensorLog, t_s: Array, dt: Array) -> tuple[Array, Ar
 
 def _relative_poses(poses: RelativePose, stereo: Stereo | None, t_s: Array) -> tuple[Array, Array]:
     """Path and heading of b at the times of the scans, from chained motions of the camera frame c."""
-    quat = stereo.T_bc_quat_wxyz if stereo is not None else np.array([0.5**0.5, -(0.5**0.5), 0.0, 0.0])
-    lever = stereo.T_bc_pos_m if stereo is not None else np.zeros(3)
-    r_bc = so3.from_quaternion(quat)
-    r_c = so3.from_quaternion(poses.quat)
-    r_b = r_bc @ r_c @ r_bc.T
-    step_b = poses.pos_m @ r_bc.T + lever - r_b @ lever
-    turn = np.arctan2(r_b[:, 1, 0], r_b[:, 0, 0])
+    step_b = body_motions(poses, stereo)
+    turn = np.arctan2(step_b.rotation[:, 1, 0], step_b.rotation[:, 0, 0])
     heading = np.concatenate([[0.0], np.cumsum(turn)])
-    path = np.concatenate([np.zeros((1, 2)), np.cumsum(_turned(heading[:-1], step_b[:, :2]), axis=0)])
+    path = np.concatenate([np.zeros((1, 2)), np.cumsum(_turned(heading[:-1], step_b.pos[:, :2]), axis=0)])
     stamps = np.concatenate([poses.t_from_s[:1], poses.t_to_s])
     at = np.column_stack([np.interp(t_s, stamps, axis) for axis in path.T])
     return at, np.interp(t_s, stamps, heading)

@@ -1,0 +1,167 @@
+"""Logs without an IMU as a `Run`: relative poses carry the state, all else is as in the graph with an IMU."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.increments import npt_int
+from factors.so3 import Array, to_quaternion, transpose
+from graphnav._memory import peak_bytes
+from graphnav._stages import Stages
+from graphnav.chain_graph import (
+    ChainProblem,
+    chain_graph,
+    chain_values,
+    leg_readings,
+    mean_velocity,
+    pose_chain,
+    reckoned,
+)
+from graphnav.config import Config
+from graphnav.errors import ConfigError, SolveError
+from graphnav.frontends.units import refuse_wrong_units
+from graphnav.keyframes import run_frontend
+from graphnav.log import SensorLog
+from graphnav.problem import D, X
+from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
+from graphnav.solvers import batch
+from graphnav.solvers.covariance import joint_marginals
+from graphnav.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import gtsam
+
+#: What takes part in a graph without an IMU.
+METHODS = ("batch", "dead-reckoning")
+_NO_SPANS = np.zeros((0, 2))
+_DIMS = {"x": 6, "l": 4, "d": 8}
+#: Tables and sections that only a graph with an IMU makes use of.
+_UNUSED = {"odometer": "table odometer", "face": "section [face]", "uwb": "table uwb", "stereo": "table stereo"}
+
+
+def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:
+    """Smooth a log that has relative poses in place of an IMU.
+
+    Raises
+    ------
+    LogError : bad input; ConfigError : a method that needs an IMU; SolveError : no convergence, or a singular problem.
+    """
+    if method not in METHODS:
+        raise ConfigError(
+            f"{method} needs an IMU, and log {log.name} has none: its relative poses serve {' and '.join(METHODS)}"
+        )
+    with stages.stage("frontend"):
+        refuse_wrong_units(log, _NO_SPANS)
+        problem = pose_chain(log, config, run_frontend(replace(log, odometer=None), config, _NO_SPANS))
+    way = reckoned(problem)
+    if method == "dead-reckoning":
+        return Run(way, {}, _diagnostics(problem, method, stages, ()), config)
+    return _smoothed(problem, way, stages)
+
+
+def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
+    config = problem.config
+    with stages.stage("assemble"):
+        readings = leg_readings(problem, way)
+        graph, values = chain_graph(problem, readings), chain_values(way, readings)
+    with stages.stage("solve") as tick:
+        result = batch.solve(
+            graph,
+            values,
+            max_iterations=config.batch.max_iterations,
+            tolerance_sigma=config.batch.tolerance_sigma,
+            landmarks=readings is not None,
+            progress=tick,
+        )
+    if not result.converged:
+        raise SolveError.not_converged(len(result.iterations), result.iterations[-1].step_sigmas)
+    with stages.stage("covariance") as tick:
+        blocks = _covariances(problem, result, tick) if config.covariance else None
+    trajectory = _trajectory(problem, result.values, blocks)
+    calibration = _calibration(result.values, blocks)
+    return Run(trajectory, calibration, _diagnostics(problem, "batch", stages, result.iterations), config)
+
+
+def _covariances(
+    problem: ChainProblem, result: batch.BatchResult, progress: Callable[[float, float], None] | None
+) -> dict[int, Array]:
+    """Joint covariance of every keyframe with its neighbour, and of the scanner."""
+    neighbours = _neighbours(len(problem.keyframe_s)).tolist()
+    groups: dict[int, tuple[int, ...]] = {X(i): (X(i), X(j)) for i, j in enumerate(neighbours)}
+    if result.values.exists(D(0)):
+        groups[D(0)] = (D(0),)
+    assert result.bayes_tree is not None
+    return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
+
+
+def _neighbours(count: int) -> npt_int:
+    """The keyframe after each one; the last has the one before it."""
+    return np.append(np.arange(1, count), count - 2)
+
+
+def _trajectory(problem: ChainProblem, values: gtsam.Values, blocks: dict[int, Array] | None) -> Trajectory:
+    """Poses and mean velocities between them, with their joint covariance."""
+    t_s, count = problem.keyframe_s, len(problem.keyframe_s)
+    poses = np.array([values.atPose3(X(i)).matrix() for i in range(count)])
+    rotation, pos = poses[:, :3, :3], poses[:, :3, 3]
+    cov = None
+    if blocks is not None:
+        other = _neighbours(count)
+        step_s = (t_s[other] - t_s)[:, None, None]
+        # attitude, position in n and velocity from both poses' perturbations, which GTSAM has in the body frame
+        by_poses = np.zeros((count, 9, 12))
+        by_poses[:, :3, :3] = np.eye(3)
+        by_poses[:, 3:6, 3:6] = rotation
+        by_poses[:, 6:, 3:6], by_poses[:, 6:, 9:] = -rotation / step_s, rotation[other] / step_s
+        cov = by_poses @ np.array([blocks[X(i)] for i in range(count)]) @ transpose(by_poses)
+    return Trajectory(t_s, pos, to_quaternion(rotation), mean_velocity(pos, t_s), cov, problem.chain)
+
+
+def _calibration(values: gtsam.Values, blocks: dict[int, Array] | None) -> dict[str, Calibration]:
+    """The scanner's, where there are legs."""
+    if not values.exists(D(0)):
+        return {}
+    value = values.atVector(D(0)).tolist()
+    sigma = [None] * len(value) if blocks is None else np.sqrt(np.diag(blocks[D(0)])).tolist()
+    return {
+        name: Calibration(v / size, None if s is None else s / size, unit)
+        for (name, size, unit), v, s in zip(LIDAR_NAMES, value, sigma, strict=True)
+    }
+
+
+def _diagnostics(
+    problem: ChainProblem, method: str, stages: Stages, iterations: tuple[batch.Iteration, ...]
+) -> Diagnostics:
+    steps = [dict(vars(step)) for step in iterations]
+    return Diagnostics(
+        method=method,
+        converged=True,
+        iterations=max(len(steps), 1),
+        keyframes=len(problem.keyframe_s),
+        seconds=stages.total(),
+        peak_rss_mb=peak_bytes() / 1e6,
+        warnings=_warnings(problem),
+        history=steps,
+    )
+
+
+def _warnings(problem: ChainProblem) -> list[str]:
+    """What the log holds that takes no part."""
+    log = problem.log
+    found = [
+        f"the {what} is not used without an IMU" for name, what in _UNUSED.items() if getattr(log, name) is not None
+    ]
+    given = (len(log.position) if log.position is not None else 0) + len(log.surveyed)
+    unused = given - len(problem.frontend.fixes)
+    if unused and problem.config.position.use:
+        found.append(f"{unused} of {given} positions and surveyed points are outside the record of relative poses")
+    if problem.initial.static_until_s is not None:
+        found.append("initial.static_until_s is not used without an IMU: the motions say when it stands")
+    if log.lidar_points is not None and log.lidar is None:
+        found.append("the table lidar_points is not used: declare the scanner in a section [lidar]")
+    return found
