@@ -12,11 +12,11 @@ from benchmarks.papers import _lidar_published as published
 from benchmarks.papers._judged import Array
 
 GRAPH, FILTER, AS_PUBLISHED = "graph", "filter", "filter as published"
-UNCORRECTED = "filter without correction"
-TRADITIONAL, IMPROVED = "traditional DR", "improved DR"
+UNCORRECTED, CORRECTED = "filter without correction", "filter with correction"
+TRADITIONAL, IMPROVED, IMPROVED_TOLD = "traditional DR", "improved DR", "improved DR told of creep"
 _NOTHING_TAKEN_OUT = {"dead_reckoning": {"compensation": "none"}}
 #: Keyframes of a course that are kept for drawing.
-_DRAWN = 1500
+_DRAWN = 800
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Course:
     largest_m : (C, 3) the error of the largest size in every cut, with its sign, east, north, up.
     stop_m : (C, 3) error at the end of every cut.
     creep_m : creep between successive stops at the near end, from the positions.
-    t_s, error_m, heading_min : (N,), (N, 3), (N,) some of the keyframes.
+    t_s, error_m, heading_min : (N,), (N, 3), (N,) some of the keyframes; heading in minutes of arc.
     nees_position : mean of ``e' P^-1 e / 3``, or None; seconds : of the run.
     told : what the filter chose.
     """
@@ -55,22 +55,36 @@ class Found:
     creep_m: Array
     icp_m: Array | None = None
 
+    def joined(self, other: Found) -> Found:
+        """With the courses of another part of the same log."""
+        return replace(
+            self, courses=self.courses | other.courses, icp_m=self.icp_m if other.icp_m is None else other.icp_m
+        )
+
 
 @dataclass(frozen=True)
 class Job:
-    """One log: "scenario" or "paper" with all methods; "modes", "numbers", "distances", "correction" of section 5.1."""
+    """Part of what is run on one log.
+
+    Attributes
+    ----------
+    world : "scenario" and "paper" with all methods of table 3; "quiet", the paper's without white noise of the gyro;
+        "modes", "numbers", "distances", "correction" of sections 5.1 and 5.2.
+    part : "filters", or "graph", which takes longest and is run apart.
+    """
 
     world: str
     seed: int
-    first: bool = True
+    part: str = "filters"
 
 
 def jobs(seeds: int, first_seed: int) -> Iterator[Job]:
-    """All jobs, the long ones first; the paper's own world with the first seed."""
-    yield Job("paper", first_seed)
-    for seed in range(first_seed, first_seed + seeds):
-        yield Job("scenario", seed, first=seed == first_seed)
-    yield from (Job(world, first_seed) for world in ("modes", "distances", "numbers", "correction"))
+    """All jobs; the selections of section 5 with the first seed, the graph in the other worlds with every seed."""
+    several = range(first_seed, first_seed + seeds)
+    yield from (Job(world, first_seed) for world in ("correction", "modes", "distances", "numbers"))
+    yield from (Job(world, seed) for seed in several for world in ("paper", "quiet", "scenario"))
+    yield Job("correction", first_seed, GRAPH)
+    yield from (Job(world, seed, GRAPH) for seed in several for world in ("scenario", "paper"))
 
 
 def run_job(job: Job) -> Found | str:
@@ -78,9 +92,9 @@ def run_job(job: Job) -> Found | str:
     from graphnav.errors import GraphnavError
 
     try:
-        return {"scenario": _scenario, "paper": _paper}.get(job.world, _selection)(job)
+        return _graph(job) if job.part == GRAPH else _filters(job)
     except GraphnavError as error:
-        return f"{job.world}, seed {job.seed}: {error}"
+        return f"{job.world}, seed {job.seed}, {job.part}: {error}"
 
 
 def chosen(count: int, mode: int, distance_m: float, picm: bool = False) -> dict[str, Any]:
@@ -94,65 +108,62 @@ def label(selection: tuple[int, int, float]) -> str:
     return f"N {count}, mode {mode}, d {distance_m:g} m"
 
 
-def _scenario(job: Job) -> Found:
-    from benchmarks.papers import _lidar_worlds as worlds
-
-    log = worlds.scenario(job.seed, scans=job.first and creep_of_scans() is not None)
-    runs = _reckoned(log)
-    runs[FILTER] = ("lidar-ekf", {}, log)
-    courses = {name: course_of(*run) for name, run in runs.items()}
-    courses[GRAPH], icp = _graph(log)
-    return _found(job, log, courses, icp)
-
-
-def _paper(job: Job) -> Found:
-    from benchmarks.papers import _lidar_worlds as worlds
-
-    log = worlds.comparison_world(job.seed)
-    runs = _reckoned(log)
-    # the mounting error that section 5.3 states is what its correction left
-    runs[AS_PUBLISHED] = ("lidar-ekf", chosen(*published.COMPARED), log)
-    runs[FILTER] = ("lidar-ekf", {}, log)
-    courses = {name: course_of(*run) for name, run in runs.items()}
-    courses[GRAPH], _ = _graph(log)
-    return _found(job, log, courses, None)
-
-
-def _selection(job: Job) -> Found:
-    from benchmarks.papers import _lidar_worlds as worlds
-
-    log = worlds.selection_world(job.seed)
-    if job.world == "correction":
-        runs = {
-            UNCORRECTED: ("lidar-ekf", chosen(*published.CORRECTED), log),
-            FILTER: ("lidar-ekf", chosen(*published.CORRECTED, picm=True), log),
-            "automatic": ("lidar-ekf", {}, log),
-            GRAPH: ("batch", {}, log),
-        }
-    else:
-        of = {"modes": published.MODES, "numbers": published.NUMBERS, "distances": published.DISTANCES}[job.world]
-        runs = {label(selection): ("lidar-ekf", chosen(*selection), log) for selection in of}
+def _filters(job: Job) -> Found:
+    """Dead reckoning and the paper's filter."""
+    log = log_of(job)
+    runs = runs_on(job.world, log)
     return _found(job, log, {name: course_of(*run) for name, run in runs.items()}, None)
 
 
+def log_of(job: Job) -> Any:
+    """The job's log, with truth; with scans for the graph where creep is found in them."""
+    from benchmarks.papers import _lidar_worlds as worlds
+
+    if job.world == "scenario":
+        return worlds.scenario(job.seed, scans=job.part == GRAPH and creep_of_scans() is not None)
+    made = {"paper": worlds.comparison_world, "quiet": worlds.quiet_world}
+    return made.get(job.world, worlds.selection_world)(job.seed)
+
+
+def runs_on(world: str, log: Any) -> dict[str, tuple[str, dict[str, Any], Any]]:
+    """Method, configuration and log by name."""
+    # the mounting error that section 5.3 states is what its correction left
+    compared = {AS_PUBLISHED: ("lidar-ekf", chosen(*published.COMPARED), log), FILTER: ("lidar-ekf", {}, log)}
+    if world == "quiet":
+        return {AS_PUBLISHED: compared[AS_PUBLISHED]}
+    if world in ("paper", "scenario"):
+        return _reckoned(log) | compared
+    if world == "correction":
+        return {
+            UNCORRECTED: ("lidar-ekf", chosen(*published.CORRECTED), log),
+            CORRECTED: ("lidar-ekf", chosen(*published.CORRECTED, picm=True), log),
+            FILTER: ("lidar-ekf", {}, log),
+        }
+    of = {"modes": published.MODES, "numbers": published.NUMBERS, "distances": published.DISTANCES}[world]
+    return {label(selection): ("lidar-ekf", chosen(*selection), log) for selection in of}
+
+
 def _reckoned(log: Any) -> dict[str, tuple[str, dict[str, Any], Any]]:
-    """Table 3's dead reckoning, which is told no surveyed point."""
+    """Table 3's dead reckoning, which is told no surveyed point; with closed path not told of creep, and told."""
     unsurveyed = replace(log, surveyed=())
+    creep_m = float(np.mean(published.CREEP_STANDARD))
+    told = replace(unsurveyed, face=log.face.replace(creep_m=creep_m, creep_sigma_m=log.face.along_sigma_m))
     return {
         TRADITIONAL: ("dead-reckoning", _NOTHING_TAKEN_OUT, unsurveyed),
         IMPROVED: ("dead-reckoning-cpoem", _NOTHING_TAKEN_OUT, unsurveyed),
+        IMPROVED_TOLD: ("dead-reckoning-cpoem", _NOTHING_TAKEN_OUT, told),
     }
 
 
-def _graph(log: Any) -> tuple[Course, Array | None]:
+def _graph(job: Job) -> Found:
     """The graph, and creep by registration where scans and `graphnav.creep` are there."""
     from graphnav.smooth import smooth
 
-    run, creep = smooth(replace(log, truth=None)), creep_of_scans()
-    icp = None
+    log, creep = log_of(job), creep_of_scans()
+    run, icp = smooth(replace(log, truth=None)), None
     if creep is not None and log.lidar_scans is not None:
         icp = np.array([row.icp_m for row in creep(log, run).rows])
-    return judged(run, log), icp
+    return _found(job, log, {GRAPH: judged(run, log)}, icp)
 
 
 def creep_of_scans() -> Any:

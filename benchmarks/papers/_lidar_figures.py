@@ -8,9 +8,11 @@ from typing import Any
 from benchmarks.papers._figures import _COLOURS, _STYLE, _grid, _save
 from benchmarks.papers._lidar_cases import (
     AS_PUBLISHED,
+    CORRECTED,
     FILTER,
     GRAPH,
     IMPROVED,
+    IMPROVED_TOLD,
     TRADITIONAL,
     UNCORRECTED,
     Course,
@@ -24,14 +26,15 @@ _NINE = (*_COLOURS, "black", "#56B4E9", "#882255")
 _LINES = {
     TRADITIONAL: ("#B0B0B0", "-"),
     IMPROVED: (_COLOURS[0], "-"),
+    IMPROVED_TOLD: (_COLOURS[0], "--"),
     AS_PUBLISHED: (_COLOURS[5], "-"),
     UNCORRECTED: (_COLOURS[5], "-"),
-    FILTER: (_COLOURS[1], "-"),
-    "automatic": (_COLOURS[3], "--"),
+    CORRECTED: (_COLOURS[1], "-"),
+    FILTER: (_COLOURS[3], "--"),
     GRAPH: (_COLOURS[2], "-"),
 }
 #: What an error of the scale of dead reckoning would hide is drawn without it.
-_FRAMED = (FILTER, AS_PUBLISHED, GRAPH, UNCORRECTED, "automatic")
+_FRAMED = (FILTER, AS_PUBLISHED, GRAPH)
 
 
 def draw(results: Results, folder: Path) -> dict[str, Path]:

@@ -41,6 +41,15 @@ def comparison_world(seed: int) -> Any:
     return paper_world(LIDAR, seed)
 
 
+def quiet_world(seed: int) -> Any:
+    """The same with a gyro without white noise, of which the log does not tell."""
+    from graphnav.simulation.scenarios import LIDAR
+
+    quiet = replace(LIDAR.imu, gyro_random_walk_deg_sqrt_h=1e-6)
+    log = paper_world(replace(LIDAR, imu=quiet), seed)
+    return replace(log, imu=log.imu.replace(gyro_random_walk_deg_sqrt_h=LIDAR.imu.gyro_random_walk_deg_sqrt_h))
+
+
 def selection_world(seed: int) -> Any:
     """Sections 5.1 and 5.2: a straight track, no creep, three cuts."""
     from graphnav.simulation.scenarios import LIDAR
@@ -65,7 +74,7 @@ def paper_world(like: Any, seed: int, **scanner: Any) -> Any:
         like, push_sigma_m=1e-4, along_sigma_m=1e-4, slip_sigma_m_s=1e-6, roll_sigma_deg=0.0,
         odometer_sigma_m_s=ODOMETER_SIGMA_M_S, scale_sigma=1e-9, lidar=LidarSpec(supports=legs, **scanner),
     )  # fmt: skip
-    log = simulate_shearer("paper-lidar", spec, seed)
+    log: Any = simulate_shearer("paper-lidar", spec, seed)
     gyro, accel = _bias_changes(spec, seed)
     speed, told = (1 + ODOMETER_SCALE) * log.odometer.speed_m_s, ("slip_sigma_m_s", "scale_sigma")
     rough = {"push_sigma_m": like.push_sigma_m, "along_sigma_m": like.along_sigma_m}
