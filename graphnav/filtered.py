@@ -42,13 +42,9 @@ def run_baseline(problem: Problem, method: str, stages: Stages) -> Run:
 
     Raises
     ------
-    LogError : dead reckoning without an odometer, the LiDAR filter without legs.
+    LogError : dead reckoning without an odometer.
     SolveError : the filter diverged.
     """
-    if method in LEG_METHODS:
-        from graphnav.leg_filtered import run_leg_filter
-
-        return run_leg_filter(problem, method, stages)
     if method in _FILTERS:
         return _filtered(problem, method, stages)
     return _reckoned(problem, method, stages)
