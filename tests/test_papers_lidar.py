@@ -21,7 +21,7 @@ from benchmarks.papers._lidar_cases import AS_PUBLISHED, FILTER, GRAPH, Found, J
 from benchmarks.papers._lidar_figures import draw
 from benchmarks.papers._lidar_kept import keep, kept
 from benchmarks.papers._lidar_page import write
-from benchmarks.papers._lidar_rows import Results, all_rows, largest
+from benchmarks.papers._lidar_rows import Results, all_rows, budget, largest
 from benchmarks.papers.lidar_ins import taken
 from factors import so3
 from factors.so3 import from_quaternion
@@ -157,6 +157,15 @@ def test_figures_are_those_of_the_runs(results: Results) -> None:
         shown = [rows[f"table 3, paper seed 3, {name}: largest {axis}"] for axis in ("east", "north", "up")]
         assert shown == pytest.approx(most.tolist())
         assert rows[f"table 3, paper seed 3, {name}: mean position NEES"] == pytest.approx(found.nees_position)
+
+
+def test_the_budget_is_of_one_zone() -> None:
+    """North of the paper's table 3 at its first arrival is 0.125 m."""
+    behind, ahead = (budget((1, mode, 9.0), 350.0) for mode in (2, 7))
+    assert behind is not None and ahead is not None
+    assert behind[1] == pytest.approx(0.125, abs=0.01)
+    assert ahead[1] > 5 * behind[1]
+    assert budget((3, 4, 0.0), 350.0) is None
 
 
 def test_parts_of_a_log_are_joined(results: Results) -> None:

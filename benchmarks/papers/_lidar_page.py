@@ -128,7 +128,7 @@ class Page:
             for selection in chosen:
                 course, expected = one.courses[label(selection)], budget(selection, text.LENGTH_M)
                 stops = [axes(course.stop_m[cut], signed=True) for cut in range(3)]
-                rows.append([label(selection), axes(expected[:2], signed=True), *stops,
+                rows.append([label(selection), axes(expected[:2], signed=True) if expected is not None else "-", *stops,
                              f"{np.abs(course.heading_min - course.heading_min[0]).max():.1f}"])  # fmt: skip
         return table(
             ["E / N / H, m", "equations 25-27, E / N", "first arrival at end 2", "back at end 1", "end 2 again",

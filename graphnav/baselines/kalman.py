@@ -76,7 +76,7 @@ def update(h: Array, z: float, x: Array, p: Array) -> tuple[float, float, Array]
 
     Returns
     -------
-    innovation, its variance, and the gain (19,).
+    innovation, its variance, and the gain (n,).
     """
     n = len(x)
     ph = np.zeros(n)
