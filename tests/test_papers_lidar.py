@@ -209,8 +209,11 @@ def selected(results: Results, short_worlds: pytest.MonkeyPatch) -> Results:
         one = results.first("correction")
         assert one is not None
         course = one.courses[FILTER]
+        astray = dataclasses.replace(course, stop_m=course.stop_m + 1.0)
         figure_7 = [
-            dataclasses.replace(one, world=world, courses={cases.label(s): course for s in chosen})
+            dataclasses.replace(
+                one, world=world, courses={cases.label(s): course if s[1] in (2, 7) else astray for s in chosen}
+            )
             for world, chosen in (
                 ("modes", published.MODES), ("numbers", published.NUMBERS), ("distances", published.DISTANCES),
             )
