@@ -147,6 +147,14 @@ def test_rows_have_their_form(results: Results) -> None:
     assert len(of_ratio) == 3 * 3 * 3
 
 
+def test_rows_of_figure_7_are_told_apart(selected: Results, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its sets of selections share some."""
+    monkeypatch.setattr(published, "MODES", tuple((3, mode, 0.0) for mode in range(1, 10)))
+    monkeypatch.setattr(published, "NUMBERS", ((1, 2, 0.0),))
+    names = [r.name for r in all_rows(selected) if r.name.startswith("figure 7")]
+    assert len(set(names)) == len(names) == 9 * (9 + 1 + 6)
+
+
 def test_figures_are_those_of_the_runs(results: Results) -> None:
     """Run again apart from the script, and judged by the public function."""
     rows, log = {r.name: r.value for r in all_rows(results)}, beside_legs(THREE_CUTS, SEED)
