@@ -178,8 +178,8 @@ def _selections(results: Results) -> Iterator[Row]:
             for axis, k in (("east", 0), ("north", 1), ("up", 2)):
                 for when, cut in (("first arrival", 0), ("way back", 1), ("second arrival", 2)):
                     peer = float(expected[1]) if expected is not None and (cut, k) == (0, 1) else None
-                    yield row(f"figure 7, {world}, {label(selection)}: {axis} after the {when}", float(stop[cut, k]), "m",
-                              peer=peer)  # fmt: skip
+                    name = f"figure 7, {world}, {label(selection)}: {axis} after the {when}"
+                    yield row(name, float(stop[cut, k]), "m", peer=peer)
 
 
 def selection_sets() -> dict[str, tuple[tuple[int, int, float], ...]]:
