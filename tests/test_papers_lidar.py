@@ -144,7 +144,7 @@ def test_rows_have_their_form(results: Results) -> None:
     assert targets == {"<= 0", "<= 1.5 x peer", "<= 0.1 m", "<= 0.05 m", "<= 0.002 m"}
     of_ratio = [r.name for r in rows if r.target == "<= 1.5 x peer"]
     assert all(name.startswith("table 3, paper") for name in of_ratio)
-    assert len(of_ratio) == 3 * 3 * 3
+    assert len(of_ratio) == 4 * 3 * 3
 
 
 def test_rows_of_figure_7_are_told_apart(selected: Results, monkeypatch: pytest.MonkeyPatch) -> None:
