@@ -51,6 +51,7 @@ def short_worlds() -> Iterator[pytest.MonkeyPatch]:
         patch.setattr(published, "MODES", ((1, 2, 0.0), (3, 4, 0.0)))
         patch.setattr(published, "NUMBERS", ((2, 2, 0.0),))
         patch.setattr(text, "LENGTH_M", THREE_CUTS.length_m)
+        patch.setattr(text, "_SETTLED_S", 30.0)
         yield patch
 
 
