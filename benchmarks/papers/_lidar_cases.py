@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks._report import sources_id
 from benchmarks.papers import _lidar_published as published
 from benchmarks.papers._judged import Array
 
@@ -46,7 +47,10 @@ class Course:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """All courses on one log, by name; cuts : (start, end) s; creep_m : true; icp_m : by registration, or None."""
+    """All courses on one log, by name; cuts : (start, end) s; creep_m : true; icp_m : by registration, or None.
+
+    sources : hash of the code that ran; of several, joined with a plus.
+    """
 
     world: str
     seed: int
@@ -54,11 +58,15 @@ class Found:
     cuts: tuple[tuple[float, float], ...]
     creep_m: Array
     icp_m: Array | None = None
+    sources: str = ""
 
     def joined(self, other: Found) -> Found:
         """With the courses of another part of the same log."""
         return replace(
-            self, courses=self.courses | other.courses, icp_m=self.icp_m if other.icp_m is None else other.icp_m
+            self,
+            courses=self.courses | other.courses,
+            icp_m=self.icp_m if other.icp_m is None else other.icp_m,
+            sources="+".join(sorted({self.sources, other.sources})),
         )
 
 
@@ -215,4 +223,4 @@ def _found(job: Job, log: Any, courses: dict[str, Course], icp: Array | None) ->
 
     cuts = tuple((start, end) for _, start, end in cycle_spans(log))
     creep = np.diff(_along(log.truth.t_s, log.truth.pos_n_m, near_stops(list(cuts))))
-    return Found(job.world, job.seed, courses, cuts, creep, icp)
+    return Found(job.world, job.seed, courses, cuts, creep, icp, sources_id("graphnav", "factors"))

@@ -36,6 +36,7 @@ CAPTIONS = {
 def source(results: Results, before: Before) -> str:
     """What this is, of what, and how it was made."""
     failed = f"\n\nRuns that failed: {'; '.join(results.failed)}." if results.failed else ""
+    sources = ", ".join(sorted({part for one in results.found for part in one.sources.split("+")}))
     seeds = max(len(results.of_world(world)) for world in ("paper", "scenario"))
     return f"""
 J. Zheng et al., "A LiDAR-Aided Inertial Positioning Approach for a Longwall Shearer in Underground Coal Mining" (2021):
@@ -46,7 +47,7 @@ figures 7, 8 and 10, tables 3 and 4. The paper is a simulation, and so is this: 
 python -m benchmarks.papers.lidar_ins --seeds {seeds} --kept KEPT --page docs/papers/lidar-ins.md
 ```
 
-(sources {before.sources}; {before.machine["processor"]}); do not edit it. To measure the graph alone again, remove
+(sources of graphnav {sources}; {before.machine["processor"]}); do not edit it. To measure the graph alone again, remove
 `KEPT/*-graph.json` and run this once more.{failed}
 """
 
@@ -106,15 +107,17 @@ def _why_filter(results: Results, filtered: np.ndarray) -> str:
     """North and height, and why east is what it is."""
     found, quiet = results.of_world("paper"), results.of_world("quiet")
     each = [largest(one.courses[AS_PUBLISHED])[0] for one in found]
+    north_each = [largest(one.courses[AS_PUBLISHED])[1] for one in found]
     first = [one.courses[AS_PUBLISHED].stop_m[0, 0] for one in found]
     known = budget(published.COMPARED, LENGTH_M)
     assert known is not None
     east, north = float(known[0]), float(known[1])
     expected, drift = east + LENGTH_M * np.radians(4.6 / 60), LENGTH_M * np.radians(0.035 * 0.5)
     lines = f"""
-- The filter with the paper's settings is at {_ratios(filtered, published.PROPOSED)} times the paper's figures. North
-  and height are reproduced: they are the scanner's systematic errors and the mounting's, whatever the seed. Equations
-  25-27 give {north:+.3f} m north at the first arrival, the paper has +0.125 m.
+- The filter with the paper's settings is at {_ratios(filtered, published.PROPOSED)} times the paper's figures. Height
+  is the pitch of mounting and attitude, the same for every seed. North is the scanner's systematic errors, and a walk
+  of some centimetres that differs by seed ({_listed(north_each)} m): equations 25-27 give {north:+.3f} m at the first
+  arrival, the paper has +0.125 m.
 - East is {_listed(each)} m by seed, the paper's 0.188 m: every draw is above it. Of the first arrival
   ({_listed(first)} m, the paper's -0.081 m) the budget explains {expected:+.3f} m ({east:+.3f} m of the scanner, and
   4.6' left between mounting and heading), the up drift of the paper's own dead reckoning {-drift:+.3f} m. The rest is
@@ -126,7 +129,8 @@ def _why_filter(results: Results, filtered: np.ndarray) -> str:
         lines += f"""
 - That it is this noise shows when it alone is left out: then east is {_listed(still)} m by seed, {ratio:.2f} times the
   paper's in the median, and after the first half hour the heading moves within {_moves(quiet)}', otherwise within
-  {_moves(found)}' (median of the seeds). The filter's own covariances cover the errors (NEES below 1). How the paper's filter held its
+  {_moves(found)}' (median of the seeds). The filter's own
+  covariances cover the errors (NEES below 1). How the paper's filter held its
   heading within 1' of what alignment left, it does not say; its P0, Q and R are not stated."""
     return lines
 
@@ -178,7 +182,7 @@ TABLE_4 = """
 ## Table 4: creep of the face
 
 The paper registers scans of the roadway at successive arrivals at end 1 (equations 8 and 9). Here creep is the
-difference of the positions estimated there, where no registration is available.
+difference of the positions estimated there, and by registration where `graphnav.creep` and scans are there.
 """
 
 
