@@ -28,7 +28,7 @@ _SETTLED_S = 1800.0
 TITLE = "# Reproduction: INS and LiDAR beside the legs of the roof supports"
 CAPTIONS = {
     "figure-7": "Errors over three cuts by mode, by number of legs and by least distance; cuts grey",
-    "figure-8": "Errors with and without the posterior correction, with the automatic choice, and of the graph",
+    "figure-8": "Errors with and without the posterior correction, and with what the filter chooses by itself; cuts grey",
     "figure-10": "Errors of all methods in the paper's world and in the scenario, below each without dead reckoning",
 }
 
@@ -242,7 +242,7 @@ FIGURE_8 = """
 ## Figure 8: posterior correction of the mounting
 
 The lateral place of the first arrival at end 2 turns the mounting by p_x / S_max (equations 30 to 32), and the log is
-filtered again. Mode 2, N = 1, d = 7.5 m; below it what the filter chooses by itself, and the graph.
+filtered again. Mode 2, N = 1, d = 7.5 m; below it what the filter chooses by itself, and the graph where it converges.
 """
 
 
@@ -252,12 +252,13 @@ def why_figure_8(results: Results) -> str:
     assert one is not None
     before, after = (one.courses[name].stop_m for name in (UNCORRECTED, CORRECTED))
     told = one.courses[FILTER].told
+    graph = "" if GRAPH in one.courses else "\n- The graph has no row here: it did not converge, or was not run."
     return f"""
 - The correction takes east at the first arrival from {before[0, 0]:+.3f} to {after[0, 0]:+.3f} m and leaves north
   ({before[0, 1]:+.3f} and {after[0, 1]:+.3f} m) and height as they are, as in the paper. It cannot do more than that:
   where the heading moves later, east at end 2 is off again ({after[2, 0]:+.3f} m in the third cut).
 - By itself the filter takes mode {told["mode"]:.0f} and d = {told["distance_m"]:g} m: with mode 2 it arrives at
-  {told["arrival_forward_m_mode_2"]:.2f} m, with mode 7 at {told["arrival_forward_m_mode_7"]:.2f} m, of 350 m.
+  {told["arrival_forward_m_mode_2"]:.2f} m, with mode 7 at {told["arrival_forward_m_mode_7"]:.2f} m, of 350 m.{graph}
 """
 
 
