@@ -28,7 +28,7 @@ _SETTLED_S = 1800.0
 TITLE = "# Reproduction: INS and LiDAR beside the legs of the roof supports"
 CAPTIONS = {
     "figure-7": "Errors over three cuts by mode, by number of legs and by least distance; cuts grey",
-    "figure-8": "Errors with and without the posterior correction, and with what the filter chooses by itself; cuts grey",
+    "figure-8": "Errors with and without the posterior correction, and with the filter's own choice; cuts grey",
     "figure-10": "Errors of all methods in the paper's world and in the scenario, below each without dead reckoning",
 }
 
