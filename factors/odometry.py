@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import so3
+from factors import lookup, so3
 from factors.increments import npt_int
 from factors.inertial import Motion
 from factors.noise import diagonal
@@ -275,20 +275,17 @@ class DisplacementFamily:
         unit = gtsam.noiseModel.Unit.Create(3)
         for lo in range(0, len(self.key_i), block):
             rows = slice(lo, lo + block)
-            first, second, calibration = (k[rows].tolist() for k in (self.key_i, self.key_j, self.calibration_key))
-            pose_i = np.array([values.atPose3(k).matrix() for k in first])
-            pose_j = np.array([values.atPose3(k).matrix() for k in second])
-            known = {k: values.atVector(k) for k in set(calibration)}
+            keys = [k[rows] for k in (self.key_i, self.key_j, self.calibration_key)]
+            pose_i, pose_j = np.split(lookup.poses(values, np.concatenate(keys[:2])), 2)
             error, *jacobians = displacement_residual(
                 pose_i[:, :3, :3], pose_i[:, :3, 3], pose_j[:, :3, :3], pose_j[:, :3, 3],
-                np.array([known[k] for k in calibration]), self.distance_m[rows], self.mean_b[rows], self.lever_arm_b,
+                lookup.vectors(values, keys[2]), self.distance_m[rows], self.mean_b[rows], self.lever_arm_b,
             )  # fmt: skip
             b = -error / self.sigma_m[rows]
             a_i, a_j, a_c = (jacobian / self.sigma_m[rows, :, None] for jacobian in jacobians)
-            for k, key in enumerate(first):
-                linear.push_back(
-                    gtsam.JacobianFactor(key, a_i[k], second[k], a_j[k], calibration[k], a_c[k], b[k], unit)
-                )
+            first, second, calibration = (k.tolist() for k in keys)
+            for i, by_i, j, by_j, c, by_c, e in zip(first, a_i, second, a_j, calibration, a_c, b, strict=True):
+                linear.push_back(gtsam.JacobianFactor(i, by_i, j, by_j, c, by_c, e, unit))
 
     def factor(self, k: int) -> gtsam.CustomFactor:
         """The k-th one alone, for an incremental solver."""

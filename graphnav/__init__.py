@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from graphnav.bound import bound
     from graphnav.compare import compare
     from graphnav.config import Config
+    from graphnav.creep import creep
     from graphnav.evaluation import evaluate
     from graphnav.log import SensorLog
     from graphnav.readers import read, write
@@ -35,6 +36,7 @@ __all__ = [
     "Trajectory",
     "bound",
     "compare",
+    "creep",
     "evaluate",
     "observe",
     "read",
@@ -45,7 +47,7 @@ __all__ = [
 
 #: Public name -> the module that defines it.
 #:
-#: `smooth` is the name of a function and of its module; `bound` and `compare` likewise. Importing a submodule
+#: `smooth` is the name of a function and of its module; `bound`, `compare` and `creep` likewise. Importing a submodule
 #: binds it on the package, so after any ``import graphnav.smooth`` the attribute ``graphnav.smooth`` is the
 #: module, whatever was there before. The module is therefore callable (see its last lines), and is what
 #: ``graphnav.smooth`` always means: ``gn.smooth(log)`` calls its function `smooth`, in whatever order things were
@@ -57,6 +59,7 @@ _PUBLIC = {
     "Trajectory": "graphnav.trajectory",
     "bound": "graphnav.bound",
     "compare": "graphnav.compare",
+    "creep": "graphnav.creep",
     "evaluate": "graphnav.evaluation",
     "observe": "graphnav.analysis",
     "read": "graphnav.readers",

@@ -75,7 +75,7 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
             values,
             max_iterations=config.batch.max_iterations,
             tolerance_sigma=config.batch.tolerance_sigma,
-            landmarks=readings is not None,
+            first=graph.chain,
             progress=tick,
         )
     if not result.converged:

@@ -69,7 +69,7 @@ def _parser() -> argparse.ArgumentParser:
     group = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     everything = (
         _add_demo, _add_info, _add_import, _add_simulate, _add_smooth, _add_evaluate, _add_compare, _add_bound,
-        _add_observability,
+        _add_creep, _add_observability,
     )  # fmt: skip
     for add in everything:
         add(group)
@@ -140,8 +140,8 @@ def _add_simulate(group: Any) -> None:
     parser.add_argument("--hours", type=float, metavar="H", help="full-shift: length of the log")
     parser.add_argument("--sensors", metavar="A,B,C", help="full-shift: imu,odometer,closed-path")
     parser.add_argument("--cycles", type=int, metavar="N", help="shearer-lidar: number of cutting cycles, 1 to 6")
-    scans = "shearer-lidar: raw scans as well, around the stops at the ends of the face"
-    parser.add_argument("--scans", action="store_const", const=True, help=scans)
+    scans = "shearer-lidar: raw scans around the stops at the ends of the face (default: with them)"
+    parser.add_argument("--scans", action=argparse.BooleanOptionalAction, help=scans)
     drawn = "shearer-lidar: draw the errors that are the paper's fixed values by default"
     parser.add_argument("--draw", action="store_const", const=True, help=drawn)
 
@@ -192,6 +192,17 @@ def _add_bound(group: Any) -> None:
     parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults")
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw it (.png, .pdf or .svg)")
+
+
+def _add_creep(group: Any) -> None:
+    text = (
+        "Creep of a longwall face after every cycle, from LiDAR scans of the roadway and from the smoothed positions."
+    )
+    parser = _command(group, "creep", commands.creep, text, "graphnav creep shift/ --end far")
+    parser.add_argument("log", type=Path, metavar="LOG", help="log folder with raw scans at the ends of the face")
+    parser.add_argument("--end", choices=("near", "far"), default="near", help="of the face (default %(default)s)")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="configuration (TOML) in place of defaults")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def _add_observability(group: Any) -> None:

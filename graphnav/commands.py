@@ -187,6 +187,27 @@ def bound(arguments: argparse.Namespace) -> None:
         show(found)
 
 
+def creep(arguments: argparse.Namespace) -> None:
+    """Show the creep of a face; where the log has truth, its errors too."""
+    from graphnav.creep import creep as creep_of
+    from graphnav.creep import with_truth
+    from graphnav.report.creep import show
+    from graphnav.report.terminal import ProgressBar
+
+    log, config = _read(arguments.log), _config(arguments)
+    with ProgressBar() as progress:
+        found = creep_of(log, end=arguments.end, config=config, progress=progress)
+    if log.truth is not None:
+        try:
+            found = with_truth(found, log)
+        except GraphnavError as error:
+            print(f"graphnav: warning: not judged by truth: {error}", file=sys.stderr)
+    if arguments.json:
+        _print_json(found.to_dict())
+    else:
+        show(found)
+
+
 def observability(arguments: argparse.Namespace) -> None:
     """Show which states a log makes observable."""
     from graphnav.analysis import observe

@@ -76,7 +76,9 @@ class BatchConfig(_Section):
     """Gauss-Newton with Levenberg-Marquardt damping."""
 
     max_iterations: int = Field(25, ge=1)
-    tolerance_sigma: float = Field(0.01, gt=0, description="converged when the whole step is this many joint sigmas")
+    tolerance_sigma: float = Field(
+        0.01, gt=0, description="converged when the whole step is this many joint sigmas; with J legs sqrt(1 + J) times"
+    )
     bias_move_rounds: int = Field(3, ge=1, description="repetitions of preintegration at better biases")
 
 
@@ -103,7 +105,9 @@ class LidarConfig(_Section):
     use: bool = True
     window_s: float = Field(5.0, gt=0, description="detections of a leg within this span become one")
     window_m: float = Field(0.5, gt=0, description="and no farther apart than the machine goes")
-    together_m: float = Field(0.002, gt=0, description="error of bringing them together by gyro and odometer")
+    together_m: float | None = Field(
+        None, gt=0, description="error of bringing them together; default from the IMU's and odometer's declared noise"
+    )
     lean_sigma_deg: float = Field(10.0, gt=0, description="how far from upright a leg may stand")
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,9 +12,9 @@ from factors.noise import diagonal
 from factors.so3 import from_quaternion
 from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings
-from graphnav.log import InitialState
+from graphnav.log import InitialState, Lidar
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
+from graphnav.problem import B, C, K, L, Problem, V, X, creep_cycles
 
 if TYPE_CHECKING:
     import gtsam
@@ -30,11 +30,22 @@ class FactorAt:
 
 @dataclass(frozen=True)
 class SmoothingGraph:
-    """The whole problem as batch solvers see it: native factors, and the odometer's as arrays."""
+    """The whole problem as batch solvers see it: native factors, and the odometer's and LiDAR's as arrays.
+
+    Attributes
+    ----------
+    chain : with legs, the keys of keyframes tied to their neighbours alone, in order of time: what to eliminate first.
+    """
 
     native: gtsam.NonlinearFactorGraph
     displacements: odometry.DisplacementFamily | None
     legs: landmark.LegFamily | None = None
+    chain: list[int] | None = None
+
+    def only_legs(self, readings: LegReadings, lidar: Lidar) -> SmoothingGraph:
+        """With only some of its readings; legs left without are tied to nothing, which METIS does not survive."""
+        bare = np.setdiff1d(np.arange(len(readings.feature)), readings.leg) + L(0)
+        return replace(self, legs=readings.family(lidar), chain=[*bare.tolist(), *(self.chain or ())])
 
     def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
         """Whitened linear factors of everything."""
@@ -51,15 +62,19 @@ def build_graph(problem: Problem, data: Preintegrated, legs: LegReadings | None 
     import gtsam
 
     native = gtsam.NonlinearFactorGraph()
+    tied: set[int] = set()
     for found in _common_factors(problem, data):
         native.add(found.factor)
-    family = None
+        tied.update(_crossed(found))
+    family, chain = None, None
     if legs is not None and problem.log.lidar is not None:
         family = legs.family(problem.log.lidar)
         lean = float(np.tan(np.radians(problem.config.lidar.lean_sigma_deg)))
         for prior in leg_priors(problem.log.lidar, legs.feature, legs.place_n[:, 2], lean):
             native.add(prior)
-    return SmoothingGraph(native, displacement_family(problem, data), family)
+        tied.update(family.pose_key.tolist())
+        chain = [key for i in range(len(problem.keyframe_s)) if X(i) not in tied for key in (V(i), X(i))]
+    return SmoothingGraph(native, displacement_family(problem, data), family, chain)
 
 
 def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
@@ -84,14 +99,14 @@ def fed_in_blocks(problem: Problem, found: list[FactorAt], size: int) -> list[Fa
         for k in range(0, len(seconds), size):
             block = seconds[k : k + size]
             feed.update(dict.fromkeys(block, max(block)))
-    fed = [FactorAt(feed[f.keyframe], f.factor) if _closes(f) else f for f in found]
+    fed = [FactorAt(feed[f.keyframe], f.factor) if _crossed(f) else f for f in found]
     return sorted(fed, key=lambda f: f.keyframe)
 
 
-def _closes(found: FactorAt) -> bool:
-    """Whether a factor ties two poses that are not neighbours."""
+def _crossed(found: FactorAt) -> list[int]:
+    """Keys of the two poses that a factor ties where they are not neighbours."""
     poses = [key for key in found.factor.keys() if key >> 56 == ord("x")]
-    return len(poses) == 2 and poses[1] - poses[0] > 1
+    return poses if len(poses) == 2 and poses[1] - poses[0] > 1 else []
 
 
 def _common_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:

@@ -15,7 +15,7 @@ from graphnav.frontends.rest import rest_spans
 from graphnav.log import SensorLog
 
 #: Measurements closer than this share a keyframe (at 1 m/s it is a millimetre).
-_SAME_S = 1e-3
+SAME_S = 1e-3
 #: A regular keyframe this close to a measurement's, in intervals, is left out.
 _NEAR = 0.3
 
@@ -60,7 +60,7 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
     cycles = find_cycles(log)
     use_path = config.closed_path.form != "off" and log.odometer is not None
     closed = closed_path_points(log, cycles, config.closed_path.interval_m) if use_path else ()
-    closed = tuple(p for p in closed if start - _SAME_S <= p.first_s and p.second_s <= end + _SAME_S)
+    closed = tuple(p for p in closed if start - SAME_S <= p.first_s and p.second_s <= end + SAME_S)
     fixes = _fixes(log, cycles, start, end) if config.position.use else ()
     wanted = [p.first_s for p in closed] + [p.second_s for p in closed] + [t for t, _, _ in fixes]
     if config.keyframes.events:
@@ -90,7 +90,7 @@ def place_keyframes(start_s: float, end_s: float, wanted_s: Array, config: Confi
     distance travelled, leaves too wide a space, it is divided evenly.
     """
     interval = config.keyframes.interval_s
-    inside = np.sort(wanted_s[(wanted_s > start_s + _SAME_S) & (wanted_s < end_s - _SAME_S)])
+    inside = np.sort(wanted_s[(wanted_s > start_s + SAME_S) & (wanted_s < end_s - SAME_S)])
     wanted = np.concatenate([[start_s], _apart(inside), [end_s]])
     regular = np.arange(np.ceil(start_s / interval) * interval, end_s, interval)
     near = np.clip(np.searchsorted(wanted, regular), 1, len(wanted) - 1)
@@ -107,7 +107,7 @@ def _apart(times: Array) -> Array:
     """Ascending times without those less than a millisecond after the last one kept."""
     kept: list[float] = []
     for t in times.tolist():
-        if not kept or t - kept[-1] > _SAME_S:
+        if not kept or t - kept[-1] > SAME_S:
             kept.append(t)
     return np.array(kept)
 
@@ -127,11 +127,11 @@ def _fixes(
     found = []
     if log.position is not None:
         for t, pos, sigma in zip(log.position.t_s, log.position.pos_n_m, log.position.sigma_n_m, strict=True):
-            if start - _SAME_S <= t <= end + _SAME_S:
+            if start - SAME_S <= t <= end + SAME_S:
                 found.append((float(t), pos, sigma))
     for point in log.surveyed:
         when = point.t_s if point.t_s is not None else _arrival(cycles, far=point.end == "far")
-        if when is not None and start - _SAME_S <= when <= end + _SAME_S:
+        if when is not None and start - SAME_S <= when <= end + SAME_S:
             found.append((float(when), point.pos_n_m, np.full(3, point.sigma_m)))
     return tuple(sorted(found, key=lambda fix: fix[0]))
 

@@ -39,7 +39,8 @@ def leg_priors(lidar: Lidar, feature: npt_int, height_m: Array, lean_sigma: floa
     found: list[gtsam.NonlinearFactor] = [gtsam.PriorFactorVector(D(0), np.zeros(8), diagonal(lidar_sigmas(lidar)))]
     anywhere = np.zeros(4), diagonal([_ANYWHERE_M, _ANYWHERE_M, lean_sigma, lean_sigma])
     for j, (number, height) in enumerate(zip(feature.tolist(), height_m.tolist(), strict=True)):
-        mark = surveyed.get(number)
+        # one that moved is no longer where it was surveyed
+        mark = surveyed.pop(number, None)
         prior = anywhere if mark is None else _surveyed(mark, height, lean_sigma)
         found.append(gtsam.PriorFactorVector(L(j), *prior))
     return found

@@ -1,33 +1,37 @@
 """LiDAR detections of legs condensed: all readings of one leg within a few seconds become one, at a keyframe.
 
 Every detection is carried into n by the attitude and position that gyro and odometer give at its own time; those of
-one leg around a keyframe are averaged there, and the mean is read back from the keyframe's pose. What the dead
+one leg around a keyframe are averaged there, and the mean is read back from the path. What the dead
 reckoning had wrong is common to both and drops out; what it gains in error within the few seconds is added to the
-noise. The mean lies off the keyframe's scan plane where the machine pitches, and is kept with its height above it.
+noise. Systematic errors of the scanner turn with the bearing, so the mean is read at the mean time of its detections,
+a known motion away from the keyframe; it lies off the scan plane where the machine pitches, and is kept with its height
+above it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from factors import landmark, so3
 from factors.increments import npt_int
-from factors.landmark import seen_leg
 from factors.so3 import Array, from_quaternion, to_quaternion
-from graphnav.config import Config, LidarConfig
+from graphnav.config import Config
 from graphnav.errors import ConfigError
-from graphnav.log import Lidar, LidarPoints, SensorLog
+from graphnav.leg_means import Groups, apart, npt_bool, on_the_ground, split, spread, together
+from graphnav.log import Lidar, SensorLog
 from graphnav.problem import D, L, Problem, X
 from graphnav.trajectory import ImuBridge, Trajectory
 
 if TYPE_CHECKING:
     import gtsam
 
-#: Detections carried to the ground at a time.
-_BLOCK = 200_000
+#: Detections brought together at a time.
+_BLOCK = 100_000
+#: Times this close are the same, s.
+_SAME_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -37,26 +41,44 @@ class LegReadings:
     Attributes
     ----------
     keyframe : (K,) index; leg : (K,) index into `feature`; count : (K,) detections in each.
+    turn_b, shift_b : (K, 3, 3), (K, 3) from b at the keyframe to b at the mean time of the detections.
     range_m, angle_rad, off_plane_m : (K,); sigma : (K, 2) m and rad.
-    feature : (J,) feature numbers of the legs; place_n : (J, 3) where each was first seen, for the initial value.
+    spread : (K, 2, 5) what averaging made of the scanner's errors, see `graphnav.leg_means.spread`.
+    feature : (J,) feature numbers of the legs, twice or more for one that moved and kept its number; place_n : (J, 3)
+        where each was first seen, for the initial value.
+    apart : detections left out, since they lie elsewhere than the others of their leg.
     """
 
     keyframe: npt_int
     leg: npt_int
     count: npt_int
+    turn_b: Array
+    shift_b: Array
     range_m: Array
     angle_rad: Array
     off_plane_m: Array
+    spread: Array
     sigma: Array
     feature: npt_int
     place_n: Array
+    apart: int
 
-    def family(self, lidar: Lidar) -> landmark.LegFamily:
-        """As factors."""
+    def only(self, rows: npt_bool) -> LegReadings:
+        """Some of the readings; the legs stay."""
+        of_reading = [f.name for f in fields(self) if f.name not in ("feature", "place_n", "apart")]
+        return replace(self, **{name: getattr(self, name)[rows] for name in of_reading})
+
+    def disagreement(self, lidar: Lidar, values: gtsam.Values) -> Array:
+        """Sigmas (K,) by which each reading is off, range and angle together."""
+        error, *_ = self.family(lidar).residuals(values)
+        return np.asarray(np.hypot(error[:, 0], error[:, 1]))
+
+    def family(self, lidar: Lidar, loss: float | None = None) -> landmark.LegFamily:
+        """As factors, see `factors.landmark.LegFamily` for the loss."""
         return landmark.LegFamily(
-            X(0) + self.keyframe, L(0) + self.leg, np.full(len(self.leg), D(0)), self.range_m, self.angle_rad,
-            self.place_n[self.leg, 2], self.off_plane_m, self.sigma, from_quaternion(lidar.T_bs_quat_wxyz),
-            lidar.T_bs_pos_m,
+            X(0) + self.keyframe, L(0) + self.leg, np.full(len(self.leg), D(0)), self.turn_b, self.shift_b,
+            self.range_m, self.angle_rad, self.place_n[self.leg, 2], self.off_plane_m, self.spread, self.sigma,
+            from_quaternion(lidar.T_bs_quat_wxyz), lidar.T_bs_pos_m, loss,
         )  # fmt: skip
 
 
@@ -98,25 +120,63 @@ def condense(problem: Problem, values: gtsam.Values, gyro_bias_b: Array, accel_b
 
 def gathered(log: SensorLog, config: Config, way: Trajectory, centre: npt_int) -> LegReadings:
     """Readings brought together at the keyframes `centre` of a path that is right over the spans between them."""
+    points = log.lidar_points
+    assert points is not None
+    first, last = np.searchsorted(points.t_s, way.t_s[[0, -1]] + [-_SAME_S, _SAME_S])
+    names = np.unique(points.feature[first:last])
+    window = _nearest(way.t_s[centre], points.t_s[first:last])
+    changes = first + np.flatnonzero(np.diff(window, append=len(centre))) + 1
+    # some windows at a time: small arrays stay in the processor's cache
+    edges = np.unique(np.r_[first, changes[np.searchsorted(changes, np.arange(first + _BLOCK, last, _BLOCK))], last])
+    blocks = [
+        _of_block(log, config, way, np.arange(lo, hi), centre[window[lo - first : hi - first]], names)
+        for lo, hi in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
+    ]
+    columns: list[Any] = [np.concatenate(column) for column in zip(*blocks, strict=True)]
+    at, first_leg, sigma, place = columns[0], columns[1], columns[-2], columns[-1]
+    columns.pop()
+    leg, before = split(first_leg, way.t_s[at], place, sigma[:, 0])
+    feature = np.concatenate([names, names[before]])
+    columns[1] = leg
+    seen = np.zeros(len(feature), np.int64)
+    seen[leg[::-1]] = np.arange(len(leg))[::-1]
+    names_of = [f.name for f in fields(LegReadings)]
+    found = dict(zip(names_of, [*columns, feature, place[seen]], strict=False))
+    return LegReadings(**found, apart=int(last - first - columns[2].sum()))
+
+
+def _of_block(
+    log: SensorLog, config: Config, way: Trajectory, rows: npt_int, keyframe: npt_int, names: npt_int
+) -> tuple[Any, ...]:
+    """The readings of some rows of the table, as in `LegReadings`, and the mean places in n.
+
+    Rows that lie apart from the others of their group are left out.
+    """
     lidar, points = log.lidar, log.lidar_points
     assert lidar is not None and points is not None
-    rotation, pos = way.rotation_nb, way.pos_n
-    inside = (points.t_s >= way.t_s[0]) & (points.t_s <= way.t_s[-1])
-    t_s, feature = points.t_s[inside], points.feature[inside]
-    window = _nearest(way.t_s[centre], t_s)
-    places = _in_n(way, points, inside, lidar)
-    names, leg = np.unique(feature, return_inverse=True)
-    group, member, count = np.unique(window * len(names) + leg, return_inverse=True, return_counts=True)
-    mean = np.column_stack([np.bincount(member, places[:, axis]) / count for axis in range(3)])
-    at, which = centre[group // len(names)], group % len(names)
-    to_s = so3.transpose(from_quaternion(lidar.T_bs_quat_wxyz))
-    in_b = np.einsum("kji,kj->ki", rotation[at], mean - pos[at]) - lidar.T_bs_pos_m
-    x, y, off = (in_b @ to_s.T).T
-    range_m = np.hypot(x, y)
-    seen = np.zeros(len(names), np.int64)
-    seen[which[::-1]] = np.arange(len(which))[::-1]
-    sigma = _sigma(config.lidar, lidar, range_m, count)
-    return LegReadings(at, which, count, range_m, np.arctan2(-x, y), off, sigma, names, mean[seen])
+    t_s, ranges, angles = points.t_s[rows], points.range_m[rows], points.angle_rad[rows]
+    groups = Groups.of(keyframe * len(names) + np.searchsorted(names, points.feature[rows]))
+    at, which = groups.number // len(names), groups.number % len(names)
+    since_s = t_s - way.t_s[keyframe]
+    mean_s = way.t_s[at] + groups.mean(since_s)
+    path = way.at(np.unique(np.concatenate([t_s, mean_s])))
+    place, ray = on_the_ground(path, t_s, ranges, angles, lidar)
+    wrong = apart(groups, place, np.hypot(lidar.range_sigma_m, ranges * np.radians(lidar.angle_sigma_deg)))
+    if wrong.any():
+        return _of_block(log, config, way, rows[~wrong], keyframe[~wrong], names)
+    mean, row = groups.mean(place), np.searchsorted(path.t_s, mean_s)
+    rotation, pos = path.rotation_nb[row], path.pos_n[row]
+    rotation_bs, to_b = from_quaternion(lidar.T_bs_quat_wxyz), so3.transpose(from_quaternion(way.quat_nb[at]))
+    away_n = mean - pos - rotation @ lidar.T_bs_pos_m
+    x, y, off = (np.einsum("kji,kj->ki", rotation, away_n) @ rotation_bs).T
+    range_m, angle_rad, level = np.hypot(x, y), np.arctan2(-x, y), away_n[:, :2]
+    mean_ray = level / np.hypot(level[:, 0], level[:, 1])[:, None]
+    own = np.array([lidar.range_sigma_m, np.radians(lidar.angle_sigma_deg)]) / np.sqrt(groups.count)[:, None]
+    return (
+        at, which, groups.count, to_b @ rotation, np.einsum("kij,kj->ki", to_b, pos - way.pos_n[at]),
+        range_m, angle_rad, off, spread(groups, ray, ranges, angles, mean_ray, range_m, angle_rad),
+        np.hypot(own, together(log, config.lidar, groups, since_s, at, range_m)), mean,
+    )  # fmt: skip
 
 
 def _window_s(problem: Problem) -> float:
@@ -124,12 +184,6 @@ def _window_s(problem: Problem) -> float:
     config, odometer = problem.config.lidar, problem.log.odometer
     usual = 0.0 if odometer is None else float(np.quantile(np.abs(odometer.speed_m_s), 0.95))
     return min(config.window_s, config.window_m / usual) if usual > 0 else config.window_s
-
-
-def _sigma(config: LidarConfig, lidar: Lidar, range_m: Array, count: npt_int) -> Array:
-    """Noise of a mean reading: the detections' own, and what it takes to bring them together (K, 2)."""
-    own = np.array([lidar.range_sigma_m, np.radians(lidar.angle_sigma_deg)]) / np.sqrt(count)[:, None]
-    return np.column_stack([np.hypot(own[:, 0], config.together_m), np.hypot(own[:, 1], config.together_m / range_m)])
 
 
 def _centres(keyframe_s: Array, window_s: float) -> npt_int:
@@ -146,21 +200,3 @@ def _nearest(grid: Array, t_s: Array) -> npt_int:
         return np.zeros(len(t_s), np.int64)
     right = np.clip(np.searchsorted(grid, t_s), 1, len(grid) - 1)
     return np.asarray(np.where(t_s - grid[right - 1] < grid[right] - t_s, right - 1, right), dtype=np.int64)
-
-
-def _in_n(
-    way: Trajectory, points: LidarPoints, inside: np.ndarray[tuple[int, ...], np.dtype[np.bool_]], lidar: Lidar
-) -> Array:
-    """Place (M, 3) of every detection."""
-    rows = np.flatnonzero(inside)
-    out = np.empty((len(rows), 3))
-    rotation_bs = from_quaternion(lidar.T_bs_quat_wxyz)
-    for lo in range(0, len(rows), _BLOCK):
-        part = rows[lo : lo + _BLOCK]
-        times, member = np.unique(points.t_s[part], return_inverse=True)
-        at = way.at(times)
-        rotation, pos = at.rotation_nb[member], at.pos_n[member]
-        out[lo : lo + len(part)] = seen_leg(
-            rotation, pos, points.range_m[part], points.angle_rad[part], rotation_bs, lidar.T_bs_pos_m
-        )
-    return out

@@ -7,6 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array, to_quaternion
+from graphnav.keyframes import SAME_S
+from graphnav.leg_priors import lidar_sigmas
+from graphnav.legs import LegReadings
+from graphnav.log import Lidar
 from graphnav.problem import B, C, D, K, Problem, V, X, creep_cycles
 from graphnav.run import (
     ACCEL_NAMES,
@@ -30,7 +34,11 @@ if TYPE_CHECKING:
     import gtsam
 
 #: Sizes of the variables by the letter of their key.
-_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1, "l": 4, "d": 8}
+_DIMS = {ord(letter): size for letter, size in zip("xvbckld", (6, 3, 6, 4, 1, 4, 8), strict=True)}
+
+
+#: Share of the detections that may be left out without a word, and sigmas at which a calibration is far off.
+_FEW, _FAR = 1e-3, 6.0
 
 
 def covariances(
@@ -48,19 +56,19 @@ def covariances(
     if result.values.exists(D(0)):
         groups[D(0)] = (D(0),)
     assert result.bayes_tree is not None
-    return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
+    return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[key >> 56], groups, progress)
 
 
 def stops(problem: Problem, result: BatchResult) -> Stops | None:
     """The states at both ends of every cut, with their joint covariance; None where there is no cut."""
     ends = np.array([t for c in problem.frontend.cycles for t in (c.start_s, c.end_s) if t is not None])
-    rows = np.flatnonzero(np.isclose(problem.keyframe_s[:, None], ends, rtol=0, atol=1e-6).any(axis=1))
+    rows = np.flatnonzero((np.abs(problem.keyframe_s[:, None] - ends) <= SAME_S).any(axis=1))
     if not len(rows):
         return None
     scanner = result.values.exists(D(0))
     keys = [X(int(i)) for i in rows] + [D(0)] * scanner
     assert result.bayes_tree is not None
-    cov = joint_covariance(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], keys)
+    cov = joint_covariance(result.bayes_tree, result.order, lambda key: _DIMS[key >> 56], keys)
     poses = [result.values.atPose3(X(int(i))) for i in rows]
     to_n = np.eye(len(cov))
     for k, pose in enumerate(poses):
@@ -149,6 +157,39 @@ def history(problem: Problem, values: gtsam.Values) -> CalibrationHistory:
 
 def _per_keyframe(of_interval: Array) -> Array:
     return np.concatenate([of_interval[:1], of_interval])
+
+
+def leg_warnings(
+    lidar: Lidar, found: dict[str, Calibration], used: LegReadings, left_out: LegReadings | None, t_s: Array
+) -> list[str]:
+    """What the LiDAR's part in the solution could not use, one line each.
+
+    Parameters
+    ----------
+    found : the calibration; used, left_out : readings; t_s : (N,) keyframes.
+    """
+    lines = []
+    detections = used.apart + int(used.count.sum()) + (0 if left_out is None else int(left_out.count.sum()))
+    if used.apart > _FEW * detections:
+        lines.append(
+            f"{used.apart} of {detections} LiDAR detections lie apart from the others of their leg and were left out"
+        )
+    if left_out is not None:
+        legs, count = np.unique(left_out.leg, return_counts=True)
+        worst = int(legs[np.argmax(count)])
+        since = t_s[left_out.keyframe[left_out.leg == worst]].min()
+        lines.append(
+            f"{len(left_out.leg)} of {len(left_out.leg) + len(used.leg)} readings of {len(legs)} legs disagree with the"
+            f" rest and were left out, most of feature {used.feature[worst]}, the first at {since:.0f} s:"
+            " legs that moved need new numbers"
+        )
+    for (name, unit_si, unit), sigma in zip(LIDAR_NAMES, lidar_sigmas(lidar), strict=True):
+        if abs(found[name].value) * unit_si > _FAR * sigma:
+            lines.append(
+                f"{name} came out at {found[name].value:.4g} {unit}, {abs(found[name].value) * unit_si / sigma:.0f}"
+                f" times its declared sigma: check [lidar] in log.toml"
+            )
+    return lines
 
 
 def warnings(problem: Problem, biases_moved: bool) -> list[str]:

@@ -22,7 +22,7 @@ from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS
-from graphnav.outcome import calibration, covariances, history, smoothed_trajectory, stops, warnings
+from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.run import Diagnostics, Run
 from graphnav.solution import Solved, solve_batch, solve_isam2
@@ -117,6 +117,10 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         c = solved.causal
         causal = Trajectory(problem.keyframe_s, c.pos_n, to_quaternion(c.rotation_nb), c.vel_n)
     steps = [dict(vars(step)) for step in solved.result.iterations]
+    found = calibration(problem, values, blocks)
+    noted = warnings(problem, solved.biases_moved)
+    if solved.legs is not None and problem.log.lidar is not None:
+        noted += leg_warnings(problem.log.lidar, found, solved.legs, solved.legs_left_out, problem.keyframe_s)
     diagnostics = Diagnostics(
         method=method,
         converged=solved.result.converged,
@@ -124,12 +128,10 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         keyframes=count,
         seconds=stages.total(),
         peak_rss_mb=peak_bytes() / 1e6,
-        warnings=warnings(problem, solved.biases_moved),
+        warnings=noted,
         history=steps,
     )
-    return Run(
-        trajectory, calibration(problem, values, blocks), diagnostics, problem.config, causal, history(problem, values)
-    )
+    return Run(trajectory, found, diagnostics, problem.config, causal, history(problem, values))
 
 
 class _CallableModule(ModuleType):

@@ -13,8 +13,9 @@ import numpy as np
 from factors.so3 import Array
 from graphnav._memory import release
 from graphnav._stages import Stages
-from graphnav.graph import build_factors, build_graph
+from graphnav.graph import SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
+from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.outcome import estimated_biases
 from graphnav.preintegration import Preintegrated, preintegrate
@@ -23,6 +24,12 @@ from graphnav.solvers import absolute, batch, incremental
 
 if TYPE_CHECKING:
     import gtsam
+
+
+#: Joint sigmas at which a path is good enough to bring readings of legs together along it.
+_ROUGH_SIGMAS = 1000.0
+#: Iterations after which readings of legs that contradict each other are looked for: they slow convergence down.
+_COMPROMISE = 10
 
 
 @dataclass
@@ -34,12 +41,15 @@ class Solved:
     result : estimates and their square-root information.
     data : the condensed sensor data that it was solved with.
     biases_moved : whether the biases still moved at the end.
+    legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     causal : the states that an incremental solver knew from the past alone, or None.
     """
 
     result: batch.BatchResult
     data: Preintegrated
     biases_moved: bool
+    legs: LegReadings | None = None
+    legs_left_out: LegReadings | None = None
     causal: States | None = None
 
 
@@ -49,7 +59,18 @@ def solve_batch(problem: Problem, stages: Stages) -> Solved:
         start, gyro_bias = start_state(problem)
         data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
         values = initial_values(problem, data, start)
+    if uses_legs(problem):
+        values = _without_legs(problem, stages, data, values)
     return _solve_rounds(problem, stages, data, values, [])
+
+
+def _without_legs(problem: Problem, stages: Stages, data: Preintegrated, values: gtsam.Values) -> gtsam.Values:
+    """Roughly what the other sensors say: readings are brought together along a path right over a few seconds."""
+    with stages.stage("assemble"):
+        graph = build_graph(problem, data)
+    with stages.stage("solve"):
+        most = problem.config.batch.max_iterations
+        return batch.solve(graph, values, max_iterations=most, tolerance_sigma=_ROUGH_SIGMAS, exact=False).values
 
 
 def solve_isam2(problem: Problem, stages: Stages) -> Solved:
@@ -80,8 +101,9 @@ def _solve_rounds(
     data, values : condensed sensor data and the values to start from.
     predicted : absolute closed-path priors that iSAM2 made on its way; batch makes its own where there are none.
     """
-    config = problem.config.batch
+    config, lidar = problem.config.batch, problem.log.lidar
     history: list[batch.Iteration] = []
+    left_out = None
     for round_ in range(config.bias_move_rounds):
         with stages.stage("assemble"):
             readings = _leg_readings(problem, data, values)
@@ -89,17 +111,20 @@ def _solve_rounds(
             for factor in predicted:
                 graph.native.add(factor)
         with stages.stage("solve") as tick:
-            result = batch.solve(
-                graph,
-                values,
-                max_iterations=config.max_iterations,
-                tolerance_sigma=config.tolerance_sigma,
-                landmarks=readings is not None,
-                progress=tick,
-            )
+            result = _solved(problem, graph, values, tick, _COMPROMISE if readings is not None else None)
             if problem.config.closed_path.form == "absolute" and not predicted:
                 result = absolute.solve_cycle_by_cycle(problem, graph, result)
-        history += result.iterations
+            history += result.iterations
+            if readings is not None and lidar is not None:
+                agree = agreeing(graph, readings, lidar, result.values)
+                if agree is None:
+                    values = result.values
+                else:  # and start afresh, away from the compromise
+                    left_out, readings = readings.only(~agree), readings.only(agree)
+                    graph = graph.only_legs(readings, lidar)
+                if agree is not None or not result.converged:
+                    result = _solved(problem, graph, values, tick)
+                    history += result.iterations
         gyro, accel = estimated_biases(problem, result.values)
         moved = biases_moved(problem, data, gyro, accel)
         if not moved or not result.converged or round_ == config.bias_move_rounds - 1:
@@ -108,7 +133,27 @@ def _solve_rounds(
             data = _preintegrate(problem, gyro, accel, tick)
             values = result.values
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return Solved(result, data, moved)
+    return Solved(result, data, moved, readings, left_out)
+
+
+def _solved(
+    problem: Problem,
+    graph: SmoothingGraph,
+    values: gtsam.Values,
+    progress: Callable[[float, float], None] | None,
+    iterations: int | None = None,
+) -> batch.BatchResult:
+    config = problem.config.batch
+    # places and leans of legs, bilinear with the height, settle last; spread over all of them that is nothing to any
+    legs = 0 if graph.legs is None else len(np.unique(graph.legs.leg_key))
+    return batch.solve(
+        graph,
+        values,
+        max_iterations=min(config.max_iterations, iterations or config.max_iterations),
+        tolerance_sigma=config.tolerance_sigma * float(np.sqrt(1 + legs)),
+        first=graph.chain,
+        progress=progress,
+    )
 
 
 def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -> LegReadings | None:
@@ -118,7 +163,8 @@ def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -
     readings = condense(problem, values, data.gyro_bias_b, data.accel_bias_b)
     if not values.exists(D(0)):
         values.insert(D(0), np.zeros(8))
-        for j, place_n in enumerate(readings.place_n):
+    for j, place_n in enumerate(readings.place_n):
+        if not values.exists(L(j)):
             values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
     return readings
 

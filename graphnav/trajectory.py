@@ -174,7 +174,7 @@ class Trajectory:
         )
         at_keyframe = fine.first[np.searchsorted(grid, keyframes)]
         motion = cumulate(replace(fine, first=at_keyframe))
-        rotation_nb = self.rotation_nb[lo : hi + 1]
+        rotation_nb = so3.from_quaternion(self.quat_nb[lo : hi + 1])
 
         def carried(
             rows: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
@@ -202,7 +202,7 @@ class Trajectory:
         u = (times - keyframes[rows])[:, None] / span
         pos_fix, vel_fix = _hermite(u, span, left_pos[rows], left_vel[rows])
         rotation = rotation @ so3.exp(u * left_turn[rows])
-        rotation[at_start] = self.rotation_nb[k[at_start]]
+        rotation[at_start] = rotation_nb[rows[at_start]]
         pos, vel = pos + pos_fix, vel + vel_fix
         pos[at_start], vel[at_start] = self.pos_n[k[at_start]], self.vel_n[k[at_start]]
         return Trajectory(times, pos, so3.to_quaternion(rotation), vel, self._covariance(times))

@@ -12,7 +12,7 @@ import pytest
 from tree import ROOT, python
 
 from benchmarks import _shift_rows as shift
-from benchmarks import accuracy
+from benchmarks import accuracy, creep
 from benchmarks._measure import Outcome, measured
 from benchmarks._report import Before, Row, Target, exponent, row, versions
 from benchmarks.vibration import GRAVITY_M_S2, RATE_HZ, Shaking, errors, per_sample
@@ -372,3 +372,22 @@ def test_degrees_of_freedom_come_back() -> None:
     assert rows["x: mean NEES"].met is True
     assert rows["x: degrees of freedom of one run"].value == pytest.approx(6.0, rel=0.1)
     assert rows["x: standard error of the mean NEES"].value == pytest.approx(np.sqrt(2 / 6 / 4000), rel=0.1)
+
+
+# Creep ------------------------------------------------------------------------------------------------------
+
+
+def test_creep_rows() -> None:
+    """By measurement and end: largest and rms error and mean sigma of all runs; failures are counted."""
+    found = [creep.Found(kind, end, 1.0, 0.5) for kind in creep.KINDS for end in creep.ENDS]
+    worse = creep.Found("positions", "far", -3.0, 1.5)
+    rows = {r.name: r for r in creep.all_rows([creep.Shift(0, found), "seed 1: no", creep.Shift(2, [*found, worse])])}
+    assert (rows["runs of all seeds that failed"].value, rows["runs of all seeds that failed"].met) == (1.0, False)
+    largest = rows["positions, far end: largest error of 3"]
+    assert (largest.value, largest.met, largest.peer) == (3.0, False, None)
+    near = rows["registration, near end: largest error of 2"]
+    assert (near.value, near.met, near.peer) == (1.0, True, creep.PAPER_MM)
+    assert rows["positions, far end: rms error"].value == pytest.approx(np.sqrt(11 / 3))
+    assert rows["positions, far end: mean sigma"].value == pytest.approx(2.5 / 3)
+    assert rows["registration: mean NEES"].value == 4.0
+    assert [r.value for r in creep.all_rows(["seed 0: no"])] == [1.0]

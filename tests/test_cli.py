@@ -21,7 +21,7 @@ from graphnav.readers import read
 from graphnav.report import results, terminal
 from graphnav.simulation import SCENARIOS
 
-COMMANDS = ("demo", "info", "import", "simulate", "smooth", "evaluate", "compare", "bound")
+COMMANDS = ("demo", "info", "import", "simulate", "smooth", "evaluate", "compare", "bound", "creep")
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +87,8 @@ def test_help_names_every_scenario_option_and_method(capsys: pytest.CaptureFixtu
         (["import", "csv", "-o", "log"], "'csv'"),
         (["compare"], "LOG"),
         (["compare", "log", "--seeds", "many"], "--seeds"),
+        (["creep"], "LOG"),
+        (["creep", "log", "--end", "middle"], "'middle'"),
     ],
 )
 def test_wrong_use_is_one_line_and_status_2(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -112,6 +114,7 @@ def test_wrong_use_is_one_line_and_status_2(words: list[str], said: str, capsys:
         (["compare", "nowhere", "--config", "no.toml"], "no.toml"),
         (["bound", "nowhere"], "nowhere"),
         (["bound", "nowhere", "--plot", "x.bmp"], "x.bmp"),
+        (["creep", "nowhere"], "nowhere"),
         (["import", "comma2k19", "-o", "log"], "needs SRC"),
         (["import", "comma2k19", "nowhere", "-o", "log"], "nowhere"),
         (["import", "kitti-gtsam", "--wheel-scale", "0.1", "-o", "log"], "takes no --wheel-scale"),

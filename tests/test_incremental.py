@@ -215,7 +215,7 @@ def test_closed_path_points_are_fed_in_blocks_and_none_is_lost() -> None:
     """Each block waits for its last point, never longer, and the order stays that of keyframes."""
     problem, _, factors, _ = fed(simulated(TWO_CUTS), config())
     found = {size: build.fed_in_blocks(problem, factors, size) for size in (1, 4)}
-    loops = {size: [f.keyframe for f in fed_ if build._closes(f)] for size, fed_ in found.items()}
+    loops = {size: [f.keyframe for f in fed_ if build._crossed(f)] for size, fed_ in found.items()}
     assert len(found[1]) == len(found[4]) == len(factors)
     assert len(loops[1]) == len(set(loops[1])) == 11
     assert loops[4] == [loops[1][3]] * 4 + [loops[1][7]] * 4 + [loops[1][10]] * 3

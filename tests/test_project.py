@@ -14,7 +14,7 @@ import pytest
 from tree import ROOT, printed
 
 PACKAGES = ("factors", "graphnav")
-HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich"}
+HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich", "open3d"}
 
 #: The floors, lowest first; a name is a module or a package with all that is in it.
 FLOORS = (
@@ -48,18 +48,20 @@ FLOORS = (
         "graphnav.run",
         "graphnav.limits",
         "graphnav.comparison",
+        "graphnav.creep_rows",
         "graphnav._seeds",
     },
     {
         "graphnav.graph",
         "graphnav.chain_graph",
         "graphnav.legs",
+        "graphnav.leg_means",
         "graphnav.leg_priors",
         "graphnav.initial",
         "graphnav.problem",
         "graphnav.preintegration",
     },
-    {"graphnav.solvers", "graphnav.observability"},
+    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement"},
     {
         "graphnav.smooth",
         "graphnav.outcome",
@@ -70,6 +72,9 @@ FLOORS = (
         "graphnav.analysis",
         "graphnav.compare",
         "graphnav.bound",
+        "graphnav.stops",
+        "graphnav.face_line",
+        "graphnav.creep",
     },
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )

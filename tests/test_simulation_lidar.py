@@ -571,9 +571,9 @@ def test_walls_stay_where_they_are_and_show_the_creep() -> None:
 
 
 def test_names_carry_the_options() -> None:
-    name = log_name("shearer-lidar", {"cycles": 2, "scans": True, "draw": False}, 3)
-    assert name == "shearer-lidar_cycles=2_scans=yes_seed3"
-    assert parse_name(name) == Simulated("shearer-lidar", {"cycles": 2, "scans": True}, 3)
+    name = log_name("shearer-lidar", {"cycles": 2, "scans": False, "draw": False}, 3)
+    assert name == "shearer-lidar_cycles=2_scans=no_seed3"
+    assert parse_name(name) == Simulated("shearer-lidar", {"cycles": 2, "scans": False}, 3)
     assert parse_name("shearer-lidar_scans=perhaps_seed3") is None
 
 
@@ -614,7 +614,8 @@ def test_log_survives_writing_and_reading(tmp_path: Path) -> None:
     assert all(np.array_equal(value, getattr(again.lidar, name)) for name, value in vars(found.lidar).items())
 
 
-def test_command_line_takes_the_options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("scans", [True, False])
+def test_command_line_takes_the_options(scans: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import graphnav.simulation.scenarios as scenarios
 
     monkeypatch.setattr(scenarios, "LIDAR", SHORT)
@@ -625,14 +626,15 @@ def test_command_line_takes_the_options(tmp_path: Path, monkeypatch: pytest.Monk
         "3",
         "--cycles",
         "1",
-        "--scans",
+        "--scans" if scans else "--no-scans",
         "--draw",
         "-o",
         str(tmp_path / "L"),
     ]
     assert cli.main(words) == 0
     found = read(tmp_path / "L")
-    assert found.name == "shearer-lidar_cycles=1_draw=yes_scans=yes_seed3"
-    assert found.lidar_scans is not None and found.lidar_points is not None and found.events is not None
+    assert found.name == f"shearer-lidar_cycles=1_draw=yes{'' if scans else '_scans=no'}_seed3"
+    assert (found.lidar_scans is not None) == scans
+    assert found.lidar_points is not None and found.events is not None
     assert found.events.cycle.max() == 1
     assert cli.main(["simulate", "shearer-mems", "--cycles", "1", "-o", str(tmp_path / "M")]) == 2

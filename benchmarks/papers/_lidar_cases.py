@@ -170,6 +170,7 @@ def _graph(job: Job) -> Found:
 
     With creep by registration where scans and `graphnav.creep` are there.
     """
+    from graphnav._cycles import cycle_spans
     from graphnav.config import Config
     from graphnav.smooth import smooth
 
@@ -177,7 +178,10 @@ def _graph(job: Job) -> Found:
     config = Config.from_dict({} if job.world == "scenario" else _UPRIGHT)
     run, icp = smooth(replace(log, truth=None), config), None
     if creep is not None and log.lidar_scans is not None:
-        icp = np.array([row.icp_m for row in creep(log, run).rows])
+        by_cycle = {row.cycle: row.icp_m for row in creep(replace(log, truth=None), run).rows}
+        # all cycles or none: what is compared is five figures
+        if set(by_cycle) == set(range(1, len(cycle_spans(log)))):
+            icp = np.array([by_cycle[cycle] for cycle in sorted(by_cycle)])
     return _found(job, log, {GRAPH: judged(run, log)}, icp)
 
 

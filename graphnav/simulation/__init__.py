@@ -33,7 +33,7 @@ SCENARIOS: dict[str, dict[str, Any]] = {
         "description": "tactical IMU, odometer and LiDAR beside the supports of a 350 m face, 6 cutting cycles, 7.1 h",
         "options": {
             "cycles": "number of cutting cycles, 1 to 6 (default)",
-            "scans": "raw scans as well, in short stretches at the ends of the face and at the start",
+            "scans": "raw scans as well (default), in short stretches at the ends of the face and at the start",
             "draw": "draw mounting, initial attitude and LiDAR errors in place of the paper's fixed values",
         },
     },

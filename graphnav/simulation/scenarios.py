@@ -165,8 +165,8 @@ def full_shift(hours: float = MAX_HOURS, sensors: str | Iterable[str] = SENSORS)
     return replace(FULL_SHIFT, duration_s=3600.0 * hours, sensors=chosen)
 
 
-def shearer_lidar(cycles: int = 6, scans: bool = False, draw: bool = False) -> ShearerSpec:
-    """`shearer-lidar`, its first `cycles`, with raw scans, and with drawn errors in place of the paper's values."""
+def shearer_lidar(cycles: int = 6, scans: bool = True, draw: bool = False) -> ShearerSpec:
+    """`shearer-lidar`, its first `cycles`; raw scans as well, or not; errors drawn, or the paper's values."""
     if isinstance(cycles, bool) or not isinstance(cycles, int) or not 1 <= cycles <= LIDAR.cycles:
         raise ConfigError(f"cycles = {cycles!r}, expected a whole number 1 to {LIDAR.cycles}")
     for name, value in (("scans", scans), ("draw", draw)):

@@ -5,7 +5,9 @@ roots: with ``R x_f + S x_p = d`` for the frontal variables f and the separator 
 known from the parent clique, ``P = L L'`` with ``L = [[R^-1, -R^-1 S L_p], [0, L_p]]`` (G. Golub and R. Plemmons,
 Linear Algebra Appl. 34 (1980), in square-root form). Only orthogonal transformations and products: what comes out is
 a covariance, whatever the ordering. The same recursion on P itself squares the condition number and was measured to
-fail where closed-path factors tie cycles together (docs/decisions/0004).
+fail where closed-path factors tie cycles together (docs/decisions/0004); it is kept for the large separators of
+landmarks, at a fifth of the cost, as long as every variable there is known to the others little better than to the
+world.
 """
 
 from __future__ import annotations
@@ -14,8 +16,9 @@ from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dtrtri
+from scipy.linalg.lapack import dgeqrf, dpotrf, dtrtri
 
+from factors.increments import npt_int
 from factors.so3 import Array
 from graphnav.errors import SolveError
 
@@ -25,19 +28,38 @@ if TYPE_CHECKING:
 
 #: A sigma this large (rad, m, m/s) is round-off in place of information.
 _NO_INFORMATION = 1e8
+#: Cliques with a separator of at least this size keep P in place of its root ...
+_LARGE = 80
+#: ... unless a variable's sigma given the others is below this share of its own: P then loses eps / 1e-8 of itself.
+_CONDITIONED = 1e-4
+
+
+class _IllConditionedError(Exception):
+    """P in place of its root would lose too much."""
 
 
 class _Clique:
-    """Square root of the joint covariance of one clique: rows of each key, and how many children still need it."""
+    """Joint covariance of one clique, as P or as a root of it: rows of each key, how many children still need it."""
 
-    __slots__ = ("root", "rows", "waiting")
+    __slots__ = ("matrix", "rows", "squared", "waiting")
 
-    def __init__(self, root: Array, rows: dict[int, slice], waiting: int) -> None:
-        self.root, self.rows, self.waiting = root, rows, waiting
+    def __init__(self, matrix: Array, rows: dict[int, slice], squared: bool, waiting: int) -> None:
+        self.matrix, self.rows, self.squared, self.waiting = matrix, rows, squared, waiting
 
-    def part(self, keys: Iterable[int]) -> Array:
-        """Rows of the square root that belong to `keys`."""
-        return np.concatenate([self.root[self.rows[k]] for k in keys])
+    def covariance(self, keys: Iterable[int]) -> Array:
+        """Joint covariance of `keys`."""
+        part = self._rows(keys)
+        return part[:, self._columns(keys)] if self.squared else np.asarray(part @ part.T)
+
+    def root(self, keys: Iterable[int]) -> Array:
+        """A square root of it."""
+        return _cholesky(self.covariance(keys)) if self.squared else _square(self._rows(keys))
+
+    def _rows(self, keys: Iterable[int]) -> Array:
+        return np.concatenate([self.matrix[self.rows[k]] for k in keys])
+
+    def _columns(self, keys: Iterable[int]) -> npt_int:
+        return np.concatenate([np.arange(self.rows[k].start, self.rows[k].stop) for k in keys])
 
 
 def joint_marginals(
@@ -66,6 +88,21 @@ def joint_marginals(
     ------
     SolveError : a variable without information, by key.
     """
+    try:
+        return _marginals(tree, elimination_order, dims, groups, progress, _LARGE)
+    except _IllConditionedError:
+        return _marginals(tree, elimination_order, dims, groups, progress, None)
+
+
+def _marginals(
+    tree: gtsam.GaussianBayesTree,
+    order: list[int],
+    dims: Callable[[int], int],
+    groups: dict[int, tuple[int, ...]],
+    progress: Callable[[float, float], None] | None,
+    large: int | None,
+) -> dict[int, Array]:
+    """As `joint_marginals`, with P for separators from `large` on, or roots throughout."""
     wanted: dict[int, list[int]] = {}
     for name, keys in groups.items():
         for key in keys:
@@ -73,16 +110,14 @@ def joint_marginals(
     found: dict[int, Array] = {}
     open_cliques: dict[int, _Clique] = {}
     owner: dict[int, int] = {}
-    order = list(elimination_order)
     for done, key in enumerate(reversed(order)):
         if key in owner:
             continue
-        clique = _solve_clique(tree[key], open_cliques, owner, dims)
+        clique = _solve_clique(tree[key], open_cliques, owner, dims, large)
         for frontal in clique.rows:
             for name in wanted.get(frontal, ()):
                 if name not in found and all(k in clique.rows for k in groups[name]):
-                    part = clique.part(groups[name])
-                    found[name] = part @ part.T
+                    found[name] = clique.covariance(groups[name])
         if progress is not None and done % 4096 == 0:
             progress(done, len(order))
     missing = set(groups) - set(found)
@@ -92,7 +127,7 @@ def joint_marginals(
 
 
 def _solve_clique(
-    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], dims: Callable[[int], int]
+    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], dims: Callable[[int], int], large: int | None
 ) -> _Clique:
     conditional = node.conditional()
     if conditional.isConstrained():
@@ -106,27 +141,25 @@ def _solve_clique(
         rows[key] = slice(at, at + dims(key))
         if at < frontal_dim:
             frontals.append(key)
-        at += dims(key)
+        at = rows[key].stop
     inverse, status = dtrtri(np.asfortranarray(r))
     if status != 0:
         raise SolveError.singular(ValueError(_name(frontals, rows, status - 1)))
     loose = np.flatnonzero(~(np.abs(inverse).max(axis=1) < _NO_INFORMATION))
     if len(loose):
         raise SolveError.singular(ValueError(_name(frontals, rows, int(loose[0]))))
-    root = np.zeros((at, at))
-    root[:frontal_dim, :frontal_dim] = inverse
-    if at > frontal_dim:
-        separators = keys[len(frontals) :]
+    separators, squared, parent = keys[len(frontals) :], False, None
+    if separators:
         # the parent holds the separator variable that was eliminated first, so it was opened last
         parent_id = max(owner[k] for k in separators)
         parent = open_cliques[parent_id]
-        separator_root = _square(parent.part(separators))
-        root[:frontal_dim, frontal_dim:] = -inverse @ (s @ separator_root)
-        root[frontal_dim:, frontal_dim:] = separator_root
+        squared = large is not None and at - frontal_dim >= large
+    solve = _squared if squared else _rooted
+    clique = _Clique(solve(inverse, s, parent, separators), rows, squared, node.nrChildren())
+    if parent is not None:
         parent.waiting -= 1
         if parent.waiting == 0:
             del open_cliques[parent_id]
-    clique = _Clique(root, rows, node.nrChildren())
     identity = len(owner)
     for key in frontals:
         owner[key] = identity
@@ -135,11 +168,58 @@ def _solve_clique(
     return clique
 
 
+def _rooted(inverse: Array, s: Array, parent: _Clique | None, separators: list[int]) -> Array:
+    """A root of a clique's covariance from that of its separator: ``[[R^-1, -R^-1 S L_p], [0, L_p]]``."""
+    front, size = len(inverse), len(inverse) + s.shape[1]
+    root = np.zeros((size, size))
+    root[:front, :front] = inverse
+    if parent is not None:
+        separator_root = parent.root(separators)
+        root[:front, front:] = -inverse @ (s @ separator_root)
+        root[front:, front:] = separator_root
+    return root
+
+
+def _squared(inverse: Array, s: Array, parent: _Clique | None, separators: list[int]) -> Array:
+    """A clique's covariance from that of its separator: with ``G = R^-1 S``, ``[[R^-1 R^-T + G P G', -G P], [., P]]``.
+
+    Raises
+    ------
+    _IllConditionedError : a variable known to its separator far better than to the world.
+    """
+    assert parent is not None
+    front, size = len(inverse), len(inverse) + s.shape[1]
+    cov = np.empty((size, size))
+    separator_cov = parent.covariance(separators)
+    gain = inverse @ s
+    cov[front:, front:] = separator_cov
+    cov[:front, front:] = -gain @ separator_cov
+    cov[front:, :front] = cov[:front, front:].T
+    given = inverse @ inverse.T
+    cov[:front, :front] = given - cov[:front, front:] @ gain.T
+    if not (given.diagonal() > _CONDITIONED**2 * cov.diagonal()[:front]).all():
+        raise _IllConditionedError
+    return cov
+
+
 def _square(wide: Array) -> Array:
-    """A square lower-triangular root of ``wide wide'``."""
+    """A square lower-triangular root of ``wide wide'``, by orthogonal transformations."""
     packed, _, _, _ = dgeqrf(wide.T)
-    size = wide.shape[0]
-    return np.asarray(np.triu(packed[:size]).T)
+    return np.asarray(np.triu(packed[: len(wide)]).T)
+
+
+def _cholesky(cov: Array) -> Array:
+    """A lower-triangular root of a covariance.
+
+    Raises
+    ------
+    _IllConditionedError : as `_squared`.
+    """
+    sigma = np.sqrt(cov.diagonal())
+    root, status = dpotrf(cov / np.outer(sigma, sigma), lower=1, clean=1)
+    if status != 0 or not root.diagonal().min() > _CONDITIONED:
+        raise _IllConditionedError
+    return np.asarray(sigma[:, None] * root)
 
 
 def _name(frontals: list[int], rows: dict[int, slice], row: int) -> str:

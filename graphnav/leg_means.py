@@ -1,0 +1,219 @@
+"""Detections of legs in groups: their means on the ground, and how wrong these are.
+
+A group is all detections of one leg in one window of a few seconds, see `graphnav.legs`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from factors.increments import npt_int
+from factors.inertial import M_S2_PER_MG
+from factors.landmark import seen_leg
+from factors.so3 import Array, from_quaternion
+from graphnav.config import LidarConfig
+from graphnav.log import Lidar, SensorLog
+from graphnav.trajectory import Trajectory
+
+#: A leg that steps this far, m, between readings this close, s, has moved.
+_STEP_M, _SOON_S = 0.15, 30.0
+
+npt_bool = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+#: Error of bringing detections together along a chain of relative poses, whose declared noise is for far longer, m.
+_TOGETHER_M = 2e-3
+
+
+#: Sigmas from the median of a group at which a detection does not belong to it.
+_APART = 5.7
+
+
+@dataclass(frozen=True)
+class Groups:
+    """Rows of a table in groups: `order` sorts them by group, group g starts at `start[g]` of it.
+
+    Attributes
+    ----------
+    number : (G,) ascending, what the rows of each group have in common; count : (G,) rows in each.
+    """
+
+    order: npt_int
+    start: npt_int
+    count: npt_int
+    number: npt_int
+
+    @classmethod
+    def of(cls, number: npt_int) -> Groups:
+        """Rows with the same number."""
+        order = np.argsort(number, kind="stable")
+        ordered = number[order]
+        start = np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))
+        return cls(order, start, np.diff(start, append=len(number)), ordered[start])
+
+    @property
+    def of_row(self) -> npt_int:
+        """(M,) group of every row."""
+        found = np.empty(len(self.order), np.int64)
+        found[self.order] = np.repeat(np.arange(len(self.count)), self.count)
+        return found
+
+    def median(self, values: Array) -> Array:
+        """Median of every group, (G,); of an even number of rows the upper one of the middle two."""
+        group = self.of_row
+        return np.asarray(values[np.lexsort((values, group))][self.start + self.count // 2])
+
+    def mean(self, values: Array) -> Array:
+        """Mean of every group."""
+        total = np.add.reduceat(values[self.order], self.start, axis=0)
+        return np.asarray(total / self.count.reshape(-1, *[1] * (values.ndim - 1)))
+
+
+def on_the_ground(at: Trajectory, t_s: Array, range_m: Array, angle_rad: Array, lidar: Lidar) -> tuple[Array, Array]:
+    """Place (M, 3) of every detection in n, and the level direction (M, 2) in which it was seen.
+
+    Parameters
+    ----------
+    at : the path at least at the times of the detections; t_s, range_m, angle_rad : (M,).
+    """
+    row = np.searchsorted(at.t_s, t_s)
+    rotation = at.rotation_nb
+    scanner = (at.pos_n + rotation @ lidar.T_bs_pos_m)[row]
+    rotation_bs = from_quaternion(lidar.T_bs_quat_wxyz)
+    place = seen_leg(rotation[row], at.pos_n[row], range_m, angle_rad, rotation_bs, lidar.T_bs_pos_m)
+    ray = place[:, :2] - scanner[:, :2]
+    return place, ray / np.hypot(ray[:, 0], ray[:, 1])[:, None]
+
+
+def apart(groups: Groups, place: Array, sigma_m: Array) -> npt_bool:
+    """Detections (M,) that lie elsewhere than the others of their group: false circles, wrong numbers.
+
+    A few metres of error in one of a hundred would move their mean by centimetres. So where a group scatters more than
+    declared, its median is taken, and what is farther from it than `_APART` times the group's median distance (or the
+    declared sigma, whichever is more) is apart. False-alarm rate of a detection with normal errors: 1e-7.
+
+    Parameters
+    ----------
+    place : (M, 3); sigma_m : (M,) declared noise of a detection's place, each axis.
+    """
+    level, of_row = place[:, :2], groups.of_row
+    off = np.square(level - groups.mean(level)[of_row]).sum(axis=1)
+    scattered = groups.mean(off) > 4 * 2 * groups.mean(sigma_m**2)
+    if not scattered.any():
+        return np.zeros(len(place), bool)
+    centre = np.column_stack([groups.median(level[:, 0]), groups.median(level[:, 1])])
+    distance = np.hypot(*(level - centre[of_row]).T)
+    # of a level normal error the median distance is 1.18 sigma
+    usual = np.maximum(groups.median(distance) / 1.18, np.sqrt(groups.mean(sigma_m**2)))
+    return np.asarray(scattered[of_row] & (distance > _APART * usual[of_row]))
+
+
+def split(leg: npt_int, t_s: Array, place: Array, sigma_m: Array) -> tuple[npt_int, npt_int]:
+    """A leg that stands elsewhere from one reading to the next has moved, and is another landmark from then on.
+
+    Dead reckoning is good to millimetres over the seconds between two readings, so a step of more than `_STEP_M` (as
+    much as the scanner's errors may change with the bearing) and 5 sigma is the leg's own.
+
+    Parameters
+    ----------
+    leg : (K,); t_s, sigma_m : (K,); place : (K, 3) of its readings.
+
+    Returns
+    -------
+    leg (K,) with new numbers from the largest on, and what each new one was before.
+    """
+    order = np.lexsort((t_s, leg))
+    step = np.hypot(*np.diff(place[order, :2], axis=0).T)
+    same = (np.diff(leg[order]) == 0) & (np.diff(t_s[order]) < _SOON_S)
+    moved = same & (step > _STEP_M + 5 * np.hypot(sigma_m[order][1:], sigma_m[order][:-1]))
+    if not moved.any():
+        return leg, np.zeros(0, np.int64)
+    times = np.concatenate([[0], np.cumsum(moved)])
+    starts = np.searchsorted(leg[order], leg[order])
+    since_first = times - times[starts]
+    before = leg[order][1:][moved]
+    found = leg.copy()
+    number = leg.max() + times
+    found[order] = np.where(since_first > 0, number, leg[order])
+    return found, before
+
+
+def spread(
+    groups: Groups, ray: Array, range_m: Array, angle_rad: Array, mean_ray: Array, mean_range: Array, mean_angle: Array
+) -> Array:
+    """What averaging makes of the scanner's errors, beyond their effect at the mean: (G, 2, 5) m and rad.
+
+    A detection is displaced by ``(rho dK + db) u - r (a3 + (a2 - 1) t + a1 t^2) w`` with u the ray and w to its left
+    (the INS/LiDAR shearer paper, equations 1 and 4, to first order). Within a group u and t change; the mean of the
+    displacements differs from that at the mean ray in second order of the span of bearings.
+
+    Parameters
+    ----------
+    ray : (M, 2) level direction of each detection; range_m, angle_rad : (M,).
+    mean_ray : (G, 2); mean_range, mean_angle : (G,) of the mean reading.
+    """
+    found = np.empty((len(groups.count), 2, 5))
+    for column, (along, weight, weight_of_mean) in enumerate(
+        (
+            (True, range_m, mean_range),
+            (True, np.ones_like(range_m), np.ones_like(mean_range)),
+            (False, -range_m, -mean_range),
+            (False, -range_m * angle_rad, -mean_range * mean_angle),
+            (False, -range_m * angle_rad**2, -mean_range * mean_angle**2),
+        )
+    ):
+        moved = groups.mean(ray * weight[:, None]) - mean_ray * weight_of_mean[:, None]
+        if not along:
+            moved = _left(moved)
+        found[:, 0, column] = (mean_ray * moved).sum(axis=1)
+        found[:, 1, column] = (_left(mean_ray) * moved).sum(axis=1) / mean_range
+    return found
+
+
+def _left(level: Array) -> Array:
+    """A quarter turn to the left."""
+    return np.stack([-level[:, 1], level[:, 0]], axis=1)
+
+
+def together(log: SensorLog, config: LidarConfig, groups: Groups, since_s: Array, at: npt_int, range_m: Array) -> Array:
+    """Error (G, 2) of carrying detections to their mean time and averaging there, m and rad.
+
+    Between keyframes the path has the accelerometer's short-term motion, and an error of velocity that lasts longer
+    than a group. With q the accelerometer's noise (m/s per root second) and r the odometer's (m per root second), the
+    velocity of a filter on both has the variance ``q r``; a group whose mean time is off its keyframe's moves by that
+    error times the time. Detections spread evenly to both sides from -h to h, mean |t| = m = h / 2, keep
+    ``q^2 h^3 / 40 = q^2 m^3 / 5`` of the twice integrated noise, to one side twice that; and a gyro of noise g turns
+    them by ``g^2 m / 3``, or twice that. Integrated noise is common to the n legs at a keyframe: as independent errors
+    it would average out among them, so each is given n times its variance.
+
+    Parameters
+    ----------
+    since_s : (M,) time of each detection after its keyframe; at : (G,) keyframe; range_m : (G,).
+    """
+    if log.imu is None or config.together_m is not None:
+        error_m = np.full(len(at), _TOGETHER_M if config.together_m is None else config.together_m)
+        return np.column_stack([error_m, error_m / range_m])
+    accel = log.imu.accel_random_walk_mg_sqrt_hz * M_S2_PER_MG
+    gyro = np.radians(log.imu.gyro_random_walk_deg_sqrt_h) / 60
+    after = groups.mean((since_s > 0).astype(float))
+    mean_s, away_s = groups.mean(since_s), groups.mean(np.abs(since_s))
+    common = np.bincount(at)[at] * 2 * (after**2 + (1 - after) ** 2)
+    lasting = velocity_variance(log, accel) * mean_s**2
+    error_m = np.sqrt(lasting + common * accel**2 * away_s**3 / 5)
+    return np.column_stack([error_m, np.hypot(error_m / range_m, gyro * np.sqrt(common * away_s / 3))])
+
+
+def velocity_variance(log: SensorLog, accel: float) -> float:
+    """Variance of the path's velocity, (m/s)^2; without an odometer, what ranges to legs leave of it.
+
+    Steady state of a filter of integrated acceleration noise q: ``q r`` with speeds of noise r (m per root second),
+    ``sqrt(2) q^1.5 p^0.5`` with positions of noise p (m root second).
+    """
+    lidar, points, odometer = log.lidar, log.lidar_points, log.odometer
+    assert lidar is not None and points is not None
+    if odometer is not None and len(odometer) > 1:
+        step_s = float(np.median(np.diff(odometer.t_s)))
+        return float(accel * np.hypot(odometer.slip_sigma_m_s, odometer.sigma_m_s * np.sqrt(step_s)))
+    position = lidar.range_sigma_m * np.sqrt((points.t_s[-1] - points.t_s[0]) / len(points.t_s))
+    return float(np.sqrt(2 * accel**3 * position))
