@@ -99,7 +99,7 @@ def comparison(results: Results) -> Any:
         axes[2 * k, 0].set_ylabel(title)
         axes[2 * k + 1, 0].set_ylabel("without dead reckoning")
     _titles(axes)
-    _legend(figure, axes[0, 0], 5)
+    _legend(figure, axes[0, 0], 6)
     return figure
 
 

@@ -2,7 +2,7 @@
 
 The paper's filter with its choices of legs, its automatic choice and its posterior correction, dead reckoning, and the
 factor graph beside them, in the paper's own plain world and on shearer-lidar. With --page a page is written, with its
-pictures. Takes about 30 minutes with 3 seeds on two cores, and as much again for the graph. With --kept outcomes are
+pictures. Takes about 50 minutes with 3 seeds, 20 of them for the graph. With --kept outcomes are
 kept in a folder, and those that are there are taken as they are: remove what is to be measured again.
 """
 
