@@ -27,6 +27,7 @@ from graphnav.config import Config
 from graphnav.errors import ConfigError, GraphnavError
 from graphnav.evaluation import evaluate
 from graphnav.graph import SmoothingGraph, build_graph
+from graphnav.leg_advances import leg_advances
 from graphnav.legs import LegReadings, condense
 from graphnav.limits import Bound
 from graphnav.log import SensorLog, Truth
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     import gtsam
+
+    from factors.advance import AdvanceFamily
 
 #: Gauss-Newton steps for what no log records; the problem in it is close to linear, less so with legs.
 _STEPS, _STEPS_WITH_LEGS = 2, 4
@@ -80,8 +83,7 @@ def bound(log: SensorLog | str | Path, config: Config | None = None, progress: P
     solved.result = replace(solved.result, bayes_tree=None)  # large, and another one follows
     with stages.stage("covariance") as tick:
         values = _with_states(problem, solved.result.values, pos, quat, vel)
-        legs = _along(problem, solved, values)
-        limit = _at_truth(problem, values, legs, tick)
+        limit = _at_truth(problem, values, *_along(problem, solved, values), tick)
     return Bound(log.name, limit, evaluate(estimate, log))
 
 
@@ -109,14 +111,15 @@ def _with_states(problem: Problem, values: gtsam.Values, pos: Array, quat: Array
     return placed
 
 
-def _along(problem: Problem, solved: Solved, values: gtsam.Values) -> LegReadings | None:
-    """Readings of legs along the poses in `values`, to which the legs' places are added; None without legs.
+def _along(problem: Problem, solved: Solved, values: gtsam.Values) -> tuple[LegReadings | None, AdvanceFamily | None]:
+    """Readings of legs along the poses in `values` and their advances; places are added to `values`. None without legs.
 
     What the smoother found to disagree is no measurement of the model, and is left out here too.
     """
     if solved.legs is None:
-        return None
+        return None, None
     readings = condense(problem, values, *estimated_biases(problem, values))
+    advances = leg_advances(problem, readings, values)
     if solved.legs_left_out is not None:
         out = set(_named(solved.legs_left_out))
         readings = readings.only(np.array([named not in out for named in _named(readings)], bool))
@@ -126,7 +129,7 @@ def _along(problem: Problem, solved: Solved, values: gtsam.Values) -> LegReading
         j += 1
     for j, place_n in enumerate(readings.place_n):
         values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
-    return readings
+    return readings, advances
 
 
 def _named(readings: LegReadings) -> list[tuple[int, int]]:
@@ -134,21 +137,27 @@ def _named(readings: LegReadings) -> list[tuple[int, int]]:
     return list(zip(readings.keyframe.tolist(), readings.feature[readings.leg].tolist(), strict=True))
 
 
-def _graph(problem: Problem, values: gtsam.Values, legs: LegReadings | None) -> SmoothingGraph:
+def _graph(
+    problem: Problem, values: gtsam.Values, legs: LegReadings | None, advances: AdvanceFamily | None
+) -> SmoothingGraph:
     """The problem, preintegrated at the biases in `values`."""
-    graph = build_graph(problem, preintegrate(problem, *estimated_biases(problem, values)), legs)
+    graph = build_graph(problem, preintegrate(problem, *estimated_biases(problem, values)), legs, advances)
     lidar = problem.log.lidar
     return graph if legs is None or lidar is None else graph.only_legs(legs, lidar)
 
 
 def _at_truth(
-    problem: Problem, values: gtsam.Values, legs: LegReadings | None, tick: Callable[[float, float], None] | None
+    problem: Problem,
+    values: gtsam.Values,
+    legs: LegReadings | None,
+    advances: AdvanceFamily | None,
+    tick: Callable[[float, float], None] | None,
 ) -> Trajectory:
     """The states of `values` with the inverse information as their covariance, all else at its best given them."""
-    graph = _graph(problem, values, legs)
+    graph = _graph(problem, values, legs, advances)
     for _ in range(_STEPS if legs is None else _STEPS_WITH_LEGS):
         values = values.retract(_rest_given_states(graph.linearize(values), values))
-    graph = _graph(problem, values, legs)
+    graph = _graph(problem, values, legs, advances)
     tree, order = elimination(graph.linearize(values), graph.chain)
     blocks = covariances(problem, BatchResult(values, tree, (), True, order), tick)
     return replace(smoothed_trajectory(problem, values, blocks), bridge=None)

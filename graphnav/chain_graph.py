@@ -113,4 +113,4 @@ def chain_graph(problem: ChainProblem, readings: LegReadings | None) -> Smoothin
     lean = float(np.tan(np.radians(problem.config.lidar.lean_sigma_deg)))
     for prior in leg_priors(lidar, readings.feature, readings.place_n[:, 2], lean):
         native.add(prior)
-    return SmoothingGraph(native, None, readings.family(lidar), [])
+    return SmoothingGraph(native, None, readings.family(lidar), None, [])

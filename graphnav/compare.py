@@ -18,7 +18,7 @@ from graphnav._stages import ProgressHook
 from graphnav.comparison import TRUTH, Comparison, Curve, MethodRow, NisBand
 from graphnav.errors import ConfigError, GraphnavError
 from graphnav.log import SensorLog, Truth
-from graphnav.methods import METHODS
+from graphnav.methods import LEG_METHODS, METHODS
 
 if TYPE_CHECKING:
     from graphnav.config import Config
@@ -42,7 +42,7 @@ def compare(
     ----------
     log : a `SensorLog`, the folder of one, or the name of a scenario ("shearer-mems", "shearer-mems_interval_m=6").
         Without truth in it the first method that succeeds is what the others are compared with.
-    methods : of `graphnav.methods.METHODS`; all of them by default.
+    methods : of `graphnav.methods.METHODS`; by default all of them, without those for legs where a log has none.
     config : choices of method, the same for all; None for the defaults.
     seeds : above zero, the scenario of the log is simulated again with the seeds 0, 1, ... seeds - 1, in worker
         processes; call it then under ``if __name__ == "__main__":``.
@@ -57,7 +57,7 @@ def compare(
     ConfigError : an unknown method, or seeds for a log whose name tells no scenario.
     LogError : a log that cannot be read.
     """
-    chosen = _checked(methods)
+    chosen = None if methods is None else _checked(methods)
     if seeds < 0:
         raise ConfigError(f"seeds = {seeds}, expected zero or more")
     if seeds:
@@ -67,14 +67,19 @@ def compare(
     return Comparison(log.name, *_compared(log, chosen, config, progress))
 
 
-def _checked(methods: Sequence[str] | None) -> tuple[str, ...]:
+def _checked(methods: Sequence[str]) -> tuple[str, ...]:
     """The methods, each once."""
-    chosen = tuple(dict.fromkeys(METHODS if methods is None else methods))
+    chosen = tuple(dict.fromkeys(methods))
     unknown = [method for method in chosen if method not in METHODS]
     if unknown or not chosen:
         what = f'unknown method "{unknown[0]}"' if unknown else "no method given"
         raise ConfigError(f"{what}; known: {', '.join(METHODS)}")
     return chosen
+
+
+def _every(log: SensorLog) -> tuple[str, ...]:
+    """All methods that a log has the sensors for."""
+    return tuple(method for method in METHODS if method not in LEG_METHODS or log.lidar_points is not None)
 
 
 def _opened(log: SensorLog | str | Path) -> SensorLog:
@@ -114,13 +119,13 @@ def _parsed(name: str) -> Simulated | None:
 
 
 def _compared(
-    log: SensorLog, methods: Sequence[str], config: Config | None, progress: ProgressHook | None
+    log: SensorLog, methods: Sequence[str] | None, config: Config | None, progress: ProgressHook | None
 ) -> tuple[str, int, tuple[MethodRow, ...]]:
     """What the errors are against, no seeds, and a row per method."""
     _warm_up()
     blind = replace(log, truth=None)
     reference, judge, rows = TRUTH, log, []
-    for method in methods:
+    for method in _every(log) if methods is None else methods:
         run = _tried(blind, config, method, progress)
         if isinstance(run, MethodRow):
             rows.append(run)
@@ -205,7 +210,7 @@ class _Task:
     """What a worker is told: it simulates the log itself."""
 
     scenario: Simulated
-    methods: tuple[str, ...]
+    methods: tuple[str, ...] | None
     config: Config | None
 
     @property

@@ -109,6 +109,7 @@ class LidarConfig(_Section):
         None, gt=0, description="error of bringing them together; default from the IMU's and odometer's declared noise"
     )
     lean_sigma_deg: float = Field(10.0, gt=0, description="how far from upright a leg may stand")
+    advances: bool = Field(True, description="legs of successive cycles are tied by the push of their support")
 
 
 class FilterConfig(_Section):
@@ -117,6 +118,28 @@ class FilterConfig(_Section):
     preset: Literal["matched", "paper"] = Field(
         "matched", description="the log's declared sigmas, or the published tuning (P0 x 3, Q x 5)"
     )
+
+
+class LidarFilterConfig(_Section):
+    """The INS/LiDAR paper's filter, the method lidar-ekf."""
+
+    features: int = Field(1, ge=1, le=8, description="legs used at a time (the paper's N)")
+    mode: int | None = Field(
+        None, ge=1, le=9, description="row of the paper's table 1; left out: 2 or 7, as the first arrival tells"
+    )
+    distance_m: float | None = Field(
+        None, ge=0, description="least distance of a leg along the face (the paper's d); left out: as far as they rest"
+    )
+    picm: bool = Field(True, description="correct the scanner's mounting by the first arrival at the far end")
+    leg: Literal["line", "point"] = Field(
+        "line",
+        description="the point seen slides on an upright leg as the scan plane turns, or is fixed as in the paper",
+    )
+    independent_s: float = Field(
+        1.0, ge=0, description="scans within this share an error (wobble of a leaning leg) and count as one; 0: white"
+    )
+    height_sigma_m: float = Field(0.01, gt=0, description="a leg is seen in the scan plane within this")
+    height_walk_m_sqrt_s: float = Field(1e-3, gt=0, description="random walk of the height at which it is seen")
 
 
 class DeadReckoningConfig(_Section):
@@ -141,6 +164,7 @@ class Config(_Section):
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()
+    lidar_filter: LidarFilterConfig = LidarFilterConfig()
     dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
     covariance: bool = Field(True, description="covariances at all keyframes")
 

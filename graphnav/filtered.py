@@ -17,6 +17,7 @@ from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, MOUNTING, SCALE
 from graphnav.baselines.tape import Estimates
 from graphnav.errors import LogError
+from graphnav.methods import LEG_METHODS
 from graphnav.outcome import warnings
 from graphnav.problem import Problem
 from graphnav.run import ACCEL_NAMES, GYRO_NAMES, ODOMETER_NAMES, Calibration, CalibrationHistory, Diagnostics, Run
@@ -57,13 +58,13 @@ def _filtered(problem: Problem, method: str, stages: Stages) -> Run:
         estimates, innovations = _FILTERS[method](inputs, preset, tick)
     with stages.stage("covariance"):
         quat, cov = estimates.house()
-        known = history(problem, estimates)
-    bridge = _bridge(problem, estimates.gyro_bias_b[:-1], estimates.accel_bias_b[:-1])
+        known = history(problem, estimates, odometer=problem.has_calibration)
+    bridge = bridged(problem, estimates.gyro_bias_b[:-1], estimates.accel_bias_b[:-1])
     trajectory = Trajectory(
         problem.keyframe_s, estimates.pos_n, quat, estimates.vel_n, cov if problem.config.covariance else None, bridge
     )
-    diagnostics = replace(_diagnostics(problem, method, stages), nis=innovations.to_dict())
-    diagnostics.warnings.extend(_inconsistent(innovations))
+    diagnostics = replace(diagnosed(problem, method, stages), nis=innovations.to_dict())
+    diagnostics.warnings.extend(inconsistent(innovations))
     if method == "rts-online" and not any(c.end_s is not None for c in inputs.cycles):
         diagnostics.warnings.append("no cut ends in this log: nothing was smoothed: use rts")
     return Run(trajectory, last(known), diagnostics, problem.config, history=known, innovations=innovations)
@@ -79,13 +80,13 @@ def _reckoned(problem: Problem, method: str, stages: Stages) -> Run:
         if method == "dead-reckoning-cpoem":
             track = dr.along_closed_path(inputs, track, known)
     count = len(problem.keyframe_s) - 1
-    bridge = _bridge(problem, np.broadcast_to(known.gyro_bias_b, (count, 3)), np.zeros((count, 3)))
+    bridge = bridged(problem, np.broadcast_to(known.gyro_bias_b, (count, 3)), np.zeros((count, 3)))
     trajectory = Trajectory(
         problem.keyframe_s, track.pos_n, to_quaternion(track.rotation_nb), track.vel_n, None, bridge
     )
     values = zip([*GYRO_NAMES, *ODOMETER_NAMES], [*known.gyro_bias_b, *known.calibration], strict=True)
     used = {name: Calibration(float(value / size), None, unit) for (name, size, unit), value in values}
-    return Run(trajectory, used, _diagnostics(problem, method, stages), problem.config)
+    return Run(trajectory, used, diagnosed(problem, method, stages), problem.config)
 
 
 def _compensation(problem: Problem, inputs: Inputs, tick: Progress | None) -> tuple[Array, dr.Compensation]:
@@ -100,15 +101,15 @@ def _compensation(problem: Problem, inputs: Inputs, tick: Progress | None) -> tu
     return rotation, known
 
 
-def history(problem: Problem, estimates: Estimates) -> CalibrationHistory:
-    """Biases and odometer calibration with their sigmas at the keyframes, in datasheet units."""
+def history(problem: Problem, estimates: Estimates, *, odometer: bool) -> CalibrationHistory:
+    """Biases, and the odometer's calibration where it is estimated, at the keyframes, in datasheet units."""
     sigma = estimates.sigmas()
     names = [*ACCEL_NAMES, *GYRO_NAMES]
     values, sigmas = (
         [estimates.accel_bias_b, estimates.gyro_bias_b],
         [sigma[:, ACCEL_BIAS], sigma[:, GYRO_BIAS]],
     )
-    if problem.has_calibration:
+    if odometer:
         names += ODOMETER_NAMES
         values.append(estimates.calibration)
         sigmas += [sigma[:, SCALE, None], sigma[:, MOUNTING]]
@@ -125,11 +126,13 @@ def last(known: CalibrationHistory) -> dict[str, Calibration]:
     return {name: Calibration(value, sigma, unit) for name, unit, value, sigma in rows}
 
 
-def _bridge(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) -> ImuBridge:
+def bridged(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) -> ImuBridge:
+    """What carries the states between keyframes."""
     return ImuBridge(problem.imu.samples, gyro_bias_b, accel_bias_b, problem.gravity_m_s2, problem.earth_rate_n)
 
 
-def _inconsistent(innovations: Innovations) -> list[str]:
+def inconsistent(innovations: Innovations) -> list[str]:
+    """A warning for every kind of measurement whose innovations are much larger than predicted."""
     found = []
     for kind in innovations.kinds:
         nis = innovations.nis(kind)
@@ -141,11 +144,12 @@ def _inconsistent(innovations: Innovations) -> list[str]:
     return found
 
 
-def _diagnostics(problem: Problem, method: str, stages: Stages) -> Diagnostics:
+def diagnosed(problem: Problem, method: str, stages: Stages) -> Diagnostics:
+    """How a baseline went; it takes one pass and always converges."""
     problem.imu.release()
     unused = []
-    if problem.log.lidar_points is not None and problem.config.lidar.use:
-        unused.append(f"{method} does not use the table lidar_points: batch and isam2 do")
+    if problem.log.lidar_points is not None and problem.config.lidar.use and method not in LEG_METHODS:
+        unused.append(f"{method} does not use the table lidar_points: batch, isam2 and lidar-ekf do")
     return Diagnostics(
         method=method,
         converged=True,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors import closed_path, inertial, landmark, odometry, position, stationary
+from factors.advance import AdvanceFamily
 from factors.noise import diagonal
 from factors.so3 import from_quaternion
 from graphnav.leg_priors import leg_priors
@@ -40,6 +41,7 @@ class SmoothingGraph:
     native: gtsam.NonlinearFactorGraph
     displacements: odometry.DisplacementFamily | None
     legs: landmark.LegFamily | None = None
+    advances: AdvanceFamily | None = None
     chain: list[int] | None = None
 
     def only_legs(self, readings: LegReadings, lidar: Lidar) -> SmoothingGraph:
@@ -54,10 +56,14 @@ class SmoothingGraph:
             self.displacements.linearize_into(linear, values)
         if self.legs is not None:
             self.legs.linearize_into(linear, values)
+        if self.advances is not None:
+            self.advances.linearize_into(linear, values)
         return linear
 
 
-def build_graph(problem: Problem, data: Preintegrated, legs: LegReadings | None = None) -> SmoothingGraph:
+def build_graph(
+    problem: Problem, data: Preintegrated, legs: LegReadings | None = None, advances: AdvanceFamily | None = None
+) -> SmoothingGraph:
     """The problem for a batch solver."""
     import gtsam
 
@@ -74,7 +80,7 @@ def build_graph(problem: Problem, data: Preintegrated, legs: LegReadings | None 
             native.add(prior)
         tied.update(family.pose_key.tolist())
         chain = [key for i in range(len(problem.keyframe_s)) if X(i) not in tied for key in (V(i), X(i))]
-    return SmoothingGraph(native, displacement_family(problem, data), family, chain)
+    return SmoothingGraph(native, displacement_family(problem, data), family, advances, chain)
 
 
 def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:

@@ -100,13 +100,16 @@ def apart(groups: Groups, place: Array, sigma_m: Array) -> npt_bool:
     level, of_row = place[:, :2], groups.of_row
     off = np.square(level - groups.mean(level)[of_row]).sum(axis=1)
     scattered = groups.mean(off) > 4 * 2 * groups.mean(sigma_m**2)
-    if not scattered.any():
-        return np.zeros(len(place), bool)
-    centre = np.column_stack([groups.median(level[:, 0]), groups.median(level[:, 1])])
-    distance = np.hypot(*(level - centre[of_row]).T)
-    # of a level normal error the median distance is 1.18 sigma
-    usual = np.maximum(groups.median(distance) / 1.18, np.sqrt(groups.mean(sigma_m**2)))
-    return np.asarray(scattered[of_row] & (distance > _APART * usual[of_row]))
+    rows = np.flatnonzero(scattered[of_row])
+    wrong = np.zeros(len(place), bool)
+    if len(rows):
+        some, level = Groups.of(of_row[rows]), level[rows]
+        centre = np.column_stack([some.median(level[:, 0]), some.median(level[:, 1])])
+        distance = np.hypot(*(level - centre[some.of_row]).T)
+        # of a level normal error the median distance is 1.18 sigma
+        usual = np.maximum(some.median(distance) / 1.18, np.sqrt(some.mean(sigma_m[rows] ** 2)))
+        wrong[rows] = distance > _APART * usual[some.of_row]
+    return wrong
 
 
 def split(leg: npt_int, t_s: Array, place: Array, sigma_m: Array) -> tuple[npt_int, npt_int]:

@@ -110,12 +110,13 @@ def gathered(log: SensorLog, config: Config, way: Trajectory, centre: npt_int) -
     assert points is not None
     first, last = np.searchsorted(points.t_s, way.t_s[[0, -1]] + [-_SAME_S, _SAME_S])
     names = np.unique(points.feature[first:last])
-    window = _nearest(way.t_s[centre], points.t_s[first:last])
-    changes = first + np.flatnonzero(np.diff(window, append=len(centre))) + 1
+    middle_s = (way.t_s[centre][1:] + way.t_s[centre][:-1]) / 2
+    change = np.r_[first, first + np.searchsorted(points.t_s[first:last], middle_s), last]
+    keyframe = np.repeat(centre, np.diff(change))
     # some windows at a time: small arrays stay in the processor's cache
-    edges = np.unique(np.r_[first, changes[np.searchsorted(changes, np.arange(first + _BLOCK, last, _BLOCK))], last])
+    edges = np.unique(np.r_[change[np.searchsorted(change, np.arange(first, last, _BLOCK))], last])
     blocks = [
-        _of_block(log, config, way, np.arange(lo, hi), centre[window[lo - first : hi - first]], names)
+        _of_block(log, config, way, np.arange(lo, hi), keyframe[lo - first : hi - first], names)
         for lo, hi in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
     ]
     columns: list[Any] = [np.concatenate(column) for column in zip(*blocks, strict=True)]

@@ -9,7 +9,10 @@ METHODS = {
     "rts": "error-state Kalman filter and one backward pass over the whole log",
     "rts-online": "the same, smoothed at each end of the face over the cycle just cut",
     "ekf": "error-state Kalman filter alone: each keyframe from the past",
+    "lidar-ekf": "the INS/LiDAR paper's Kalman filter: support legs and no odometer",
     "dead-reckoning": "the gyro's attitude and the odometer's distance",
     "dead-reckoning-cpoem": "dead reckoning corrected at closed-path points",
 }
 GRAPH_METHODS = ("batch", "isam2")
+#: What is of no use without detections of legs.
+LEG_METHODS = ("lidar-ekf",)

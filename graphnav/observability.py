@@ -23,6 +23,7 @@ from graphnav.solvers.joint_states import Progress, graph_covariances
 if TYPE_CHECKING:
     import gtsam
 
+    from factors.advance import AdvanceFamily
     from graphnav.baselines.tape import Estimates
 
 __all__ = [
@@ -45,6 +46,7 @@ def of_graph(
     values: gtsam.Values,
     *,
     legs: LegReadings | None = None,
+    advances: AdvanceFamily | None = None,
     causal: bool = False,
     count: int | None = None,
     progress: Progress | None = None,
@@ -55,7 +57,7 @@ def of_graph(
     ----------
     problem, data, values : as solved. The papers' absolute closed-path priors are not part of the graph: they count
         information twice.
-    legs : the readings of LiDAR legs that it was solved with.
+    legs, advances : the readings of LiDAR legs that it was solved with, and pairs of them.
     causal : False takes each state from the whole log, True from the log up to its time.
     count : keyframes to look at; None for 200 evenly spread, or 40 where causal (each costs an elimination), closer
         together at the start, where most is learnt.
@@ -65,7 +67,9 @@ def of_graph(
     SolveError : a variable without information.
     """
     keyframes = _spread(problem, count or 40, 2) if causal else _spread(problem, count or 200, 1)
-    covariance = graph_covariances(problem, data, values, keyframes, legs=legs, causal=causal, progress=progress)
+    covariance = graph_covariances(
+        problem, data, values, keyframes, legs=legs, advances=advances, causal=causal, progress=progress
+    )
     pos_n = np.array([values.atPose3(X(i)).translation() for i in range(len(problem.keyframe_s))])
     kind = "causal" if causal else "smoothed"
     return of_covariances(problem, problem.keyframe_s[keyframes], covariance, pos_n, kind)

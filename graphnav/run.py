@@ -57,7 +57,7 @@ class Diagnostics:
     peak_rss_mb : peak memory of the process, MB.
     rejected : measurements rejected, per sensor.
     warnings : one line each.
-    history : per iteration: error, step in joint sigmas, damping, seconds.
+    history : per iteration: error, step in joint sigmas, damping, seconds; with lidar-ekf, the choice of legs.
     nis : with a Kalman filter, `Innovations.to_dict`: the consistency of its innovations.
     """
 

@@ -21,7 +21,7 @@ from graphnav.frontends.rest import rest_spans
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
-from graphnav.methods import GRAPH_METHODS, METHODS
+from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.run import Diagnostics, Run
@@ -64,6 +64,10 @@ def smooth(
     problem = _posed(log, config or Config(), stages)
     if method in GRAPH_METHODS:
         return _by_graph(problem, method, stages)
+    if method in LEG_METHODS:
+        from graphnav.leg_filtered import run_leg_filter
+
+        return run_leg_filter(problem, method, stages)
     from graphnav.filtered import run_baseline
 
     return run_baseline(problem, method, stages)

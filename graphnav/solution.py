@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.advance import AdvanceFamily
 from factors.so3 import Array
 from graphnav._memory import release
 from graphnav._stages import Stages
 from graphnav.graph import SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
+from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.outcome import estimated_biases
@@ -42,6 +44,7 @@ class Solved:
     data : the condensed sensor data that it was solved with.
     biases_moved : whether the biases still moved at the end.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
+    advances : pairs of legs tied by the push of their support, or None.
     causal : the states that an incremental solver knew from the past alone, or None.
     """
 
@@ -50,6 +53,7 @@ class Solved:
     biases_moved: bool
     legs: LegReadings | None = None
     legs_left_out: LegReadings | None = None
+    advances: AdvanceFamily | None = None
     causal: States | None = None
 
 
@@ -103,11 +107,12 @@ def _solve_rounds(
     """
     config, lidar = problem.config.batch, problem.log.lidar
     history: list[batch.Iteration] = []
-    left_out = None
+    left_out, advances = None, None
     for round_ in range(config.bias_move_rounds):
         with stages.stage("assemble"):
             readings = _leg_readings(problem, data, values)
-            graph = build_graph(problem, data, readings)
+            advances = None if readings is None else leg_advances(problem, readings, values)
+            graph = build_graph(problem, data, readings, advances)
             for factor in predicted:
                 graph.native.add(factor)
         with stages.stage("solve") as tick:
@@ -133,7 +138,7 @@ def _solve_rounds(
             data = _preintegrate(problem, gyro, accel, tick)
             values = result.values
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return Solved(result, data, moved, readings, left_out)
+    return Solved(result, data, moved, readings, left_out, advances)
 
 
 def _solved(

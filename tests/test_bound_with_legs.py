@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 from engine_logs import rows
-from leg_logs import SPEC, TINY, limit, tiny
+from lidar_logs import SPEC, TINY, limit, tiny
 from scipy.stats import chi2
 
 import graphnav.bound as bound_module

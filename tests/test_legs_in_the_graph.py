@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from leg_logs import SPEC, log, run
+from lidar_logs import SPEC, log, run
 from scipy import stats
 
 from graphnav import legs

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 import pytest
 from engine_logs import until
-from leg_logs import BARE, SPEC, log, run, tiny
+from lidar_logs import BARE, SPEC, log, run, tiny
 from scipy.stats import chi2
 
 from graphnav._stages import Stages
@@ -45,7 +45,9 @@ def of_seed(seed: int = 0) -> tuple[Problem, Solved]:
 @cache
 def observed(causal: bool = False, seed: int = 0, count: int = 20) -> Observability:
     problem, found = of_seed(seed)
-    return of_graph(problem, found.data, found.result.values, legs=found.legs, causal=causal, count=count)
+    return of_graph(
+        problem, found.data, found.result.values, legs=found.legs, advances=found.advances, causal=causal, count=count
+    )
 
 
 def final(name: str) -> float:
@@ -55,13 +57,15 @@ def final(name: str) -> float:
 
 def covariances(recorded: SensorLog, keyframes: list[int], causal: bool = False) -> np.ndarray:
     problem, found = solved(recorded)
-    return graph_covariances(problem, found.data, found.result.values, keyframes, legs=found.legs, causal=causal)
+    return graph_covariances(
+        problem, found.data, found.result.values, keyframes, legs=found.legs, advances=found.advances, causal=causal
+    )
 
 
 def test_joint_covariances_are_those_of_the_dense_inverse() -> None:
     problem, found = solved(tiny())
     values, last = found.result.values, len(problem.keyframe_s) - 1
-    linear = build_graph(problem, found.data, found.legs).linearize(values)
+    linear = build_graph(problem, found.data, found.legs, found.advances).linearize(values)
     ordering = gtsam.Ordering.NaturalGaussianFactorGraph(linear)
     size = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1, "l": 4, "d": 8}
     at, place = {}, 0
@@ -71,7 +75,7 @@ def test_joint_covariances_are_those_of_the_dense_inverse() -> None:
         place += len(at[key])
     root = np.linalg.inv(np.linalg.qr(linear.jacobian(ordering)[0], mode="r"))
     keyframes = [0, 7, last]
-    given = graph_covariances(problem, found.data, values, keyframes, legs=found.legs)
+    given = graph_covariances(problem, found.data, values, keyframes, legs=found.legs, advances=found.advances)
     assert given.shape == (3, 27, 27)
     for cov, i in zip(given, keyframes, strict=True):
         e = max(i - 1, 0)
@@ -107,7 +111,9 @@ def test_causal_is_the_log_cut_off_there() -> None:
     whole = replace(log(), events=None, face=None, surveyed=())
     problem, found = solved(whole)
     i = int(np.argmin(np.abs(problem.keyframe_s - 60.0)))
-    causal = graph_covariances(problem, found.data, found.result.values, [i], legs=found.legs, causal=True)[0]
+    causal = graph_covariances(
+        problem, found.data, found.result.values, [i], legs=found.legs, advances=found.advances, causal=True
+    )[0]
     cut = until(whole, float(problem.keyframe_s[i]))
     cut_problem, _ = solved(cut)
     expected = covariances(cut, [len(cut_problem.keyframe_s) - 1])[0]

@@ -67,6 +67,7 @@ FLOORS = (
         "graphnav.outcome",
         "graphnav.solution",
         "graphnav.filtered",
+        "graphnav.leg_filtered",
         "graphnav.chained",
         "graphnav.analysis",
         "graphnav.compare",

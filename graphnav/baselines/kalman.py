@@ -52,8 +52,9 @@ def predict(phi: Array, q: Array, x: Array, p: Array) -> None:
 
     Parameters
     ----------
-    phi, q, p : (19, 19); x : (19,).
+    phi : (19, 19); q, p : (n, n); x : (n,), the first 15 of them those of `states`.
     """
+    n = len(x)
     mean = np.zeros(9)
     for i in range(9):
         for k in range(15):
@@ -62,8 +63,8 @@ def predict(phi: Array, q: Array, x: Array, p: Array) -> None:
     times_rows(phi, p)
     half = p.T.copy()
     times_rows(phi, half)
-    for i in range(19):
-        for j in range(i, 19):
+    for i in range(n):
+        for j in range(i, n):
             value = (half[i, j] + half[j, i]) * 0.5 + q[i, j]
             p[i, j] = value
             p[j, i] = value
@@ -75,7 +76,7 @@ def update(h: Array, z: float, x: Array, p: Array) -> tuple[float, float, Array]
 
     Returns
     -------
-    innovation, its variance, and the gain (19,).
+    innovation, its variance, and the gain (n,).
     """
     n = len(x)
     ph = np.zeros(n)
@@ -172,10 +173,10 @@ def backward(
 def process_noise(
     force_n: Array, dt_s: Array, gyro_density: Array, accel_density: Array, walks: Array, resting: bool, out: Array
 ) -> None:
-    """Discrete process noise of each epoch for white gyro and accelerometer noise and a constant force (E, 19, 19).
+    """Discrete process noise of each epoch for white gyro and accelerometer noise and a constant force (E, n, n).
 
     The integral of ``Phi(s) G q G' Phi(s)'`` over the epoch, with attitude noise seen in velocity and position through
-    the specific force; walks : (19,) random-walk variances per second of every state, besides.
+    the specific force; walks : (n,) random-walk variances per second of every state, besides.
     """
     out[:] = 0.0
     for e in range(len(dt_s)):
@@ -205,5 +206,5 @@ def process_noise(
                 q[i, 6 + j] += g * outer * t**4 / 8.0
                 q[6 + j, i] += g * outer * t**4 / 8.0
                 q[6 + i, 6 + j] += g * outer * t**5 / 20.0
-        for i in range(19):
+        for i in range(len(walks)):
             q[i, i] += walks[i] * t

@@ -221,7 +221,7 @@ def closed_path_points(
         low = max(first.s_m.min(), second.s_m.min()) - 1e-6
         high = min(first.s_m.max(), second.s_m.max()) + 1e-6
         for s in grid[(grid >= low) & (grid <= high)]:
-            push = _push_at(log, number, float(s))
+            push = push_at(log, number, float(s))
             at_end = s in (grid[0], grid[-1])
             points.append(
                 ClosedPathPoint(float(s), first.time_at(float(s)), second.time_at(float(s)), number, push, at_end)
@@ -229,7 +229,7 @@ def closed_path_points(
     return tuple(sorted(points, key=lambda p: p.second_s))
 
 
-def _push_at(log: SensorLog, cycle: int, s_m: float) -> float:
+def push_at(log: SensorLog, cycle: int, s_m: float) -> float:
     """Measured push at a face coordinate after a cycle, or the declared one where none was measured."""
     assert log.face is not None
     if log.push is not None:

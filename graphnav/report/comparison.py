@@ -28,6 +28,7 @@ _LINES: tuple[tuple[str, Any, float], ...] = (
     ("#56B4E9", "-", 1.0),
     ("#E69F00", "-", 1.0),
     (BLACK, ":", 1.0),
+    ("#7F7F7F", "-", 1.0),
 )
 #: Methods whose errors differ by more than this factor share no linear axis.
 _SPREAD = 8.0

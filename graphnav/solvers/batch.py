@@ -189,17 +189,21 @@ def _sound(tree: gtsam.GaussianBayesTree, order: list[int], delta: gtsam.VectorV
 
     With ``R'R`` the information, its diagonal is the sum of squares of each column of R, over all cliques.
     """
-    size = {key: len(delta.at(key)) for key in order}
-    first = dict(zip(order, np.cumsum([0, *size.values()]).tolist(), strict=False))
-    diagonal, pivots = np.zeros(sum(size.values())), np.zeros(sum(size.values()))
+    keys: list[int] = []
+    squares, pivots = [], []
     for key in order:
         conditional = tree[key].conditional()
         if conditional.firstFrontalKey() == key:
-            rows = np.concatenate([np.arange(first[k], first[k] + size[k]) for k in conditional.keys()])
-            r, s = conditional.R(), conditional.S()
-            diagonal[rows] += np.concatenate([np.square(r).sum(axis=0), np.square(s).sum(axis=0)])
-            pivots[rows[: len(r)]] = np.square(r.diagonal())
-    return bool((diagonal <= _SOUND * pivots).all())
+            r = conditional.R()
+            keys += conditional.keys()
+            squares += [np.square(r).sum(axis=0), np.square(conditional.S()).sum(axis=0)]
+            pivots.append(np.concatenate([np.square(r.diagonal()), np.full(squares[-1].size, np.inf)]))
+    size = {key: len(delta.at(key)) for key in order}
+    first = dict(zip(order, np.cumsum([0, *size.values()]).tolist(), strict=False))
+    sizes = np.array([size[key] for key in keys])
+    rows = np.repeat([first[key] for key in keys] - np.cumsum(sizes) + sizes, sizes) + np.arange(sizes.sum())
+    diagonal = np.bincount(rows, np.concatenate(squares))
+    return bool((diagonal[rows] <= _SOUND * np.concatenate(pivots)).all())
 
 
 def _step(

@@ -34,6 +34,9 @@ _LARGE = 80
 _CONDITIONED = 1e-4
 
 
+_ROWS = np.arange(1 << 16)
+
+
 class _IllConditionedError(Exception):
     """P in place of its root would lose too much."""
 
@@ -59,7 +62,7 @@ class _Clique:
         return np.concatenate([self.matrix[self.rows[k]] for k in keys])
 
     def _columns(self, keys: Iterable[int]) -> npt_int:
-        return np.concatenate([np.arange(self.rows[k].start, self.rows[k].stop) for k in keys])
+        return np.concatenate([_ROWS[self.rows[k]] for k in keys])
 
 
 def joint_marginals(

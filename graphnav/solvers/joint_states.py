@@ -24,6 +24,8 @@ from graphnav.solvers.joint_keys import joint_covariance
 if TYPE_CHECKING:
     import gtsam
 
+    from factors.advance import AdvanceFamily
+
 #: Sizes of the variables by the letter of their key.
 _DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1, "l": 4, "d": 8}
 Progress = Callable[[float, float], None]
@@ -36,6 +38,7 @@ def graph_covariances(
     keyframes: list[int],
     *,
     legs: LegReadings | None = None,
+    advances: AdvanceFamily | None = None,
     causal: bool = False,
     progress: Progress | None = None,
 ) -> Array:
@@ -45,13 +48,14 @@ def graph_covariances(
     ----------
     keyframes : ascending; causal : False for the whole log, True for the log up to each keyframe.
     legs : the readings of LiDAR legs that take part; a reading counts from the last of its detections on.
+    advances : pairs of these legs; a pair counts from the first reading of the later one on.
 
     Returns
     -------
     (T, 19, 19), or (T, 15, 15) without an odometer: bias and calibration are those of the interval that ends at the
     keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`.
     """
-    graph, scanner = build_graph(problem, data, legs), list[int]()
+    graph, scanner = build_graph(problem, data, legs, advances), list[int]()
     if legs is not None and problem.log.lidar is not None:
         graph, scanner = graph.only_legs(legs, problem.log.lidar), [D(0)]
     groups = {i: (*_state_keys(problem, i), *scanner) for i in keyframes}
