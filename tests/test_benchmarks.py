@@ -12,7 +12,7 @@ import pytest
 from tree import ROOT, python
 
 from benchmarks import _shift_rows as shift
-from benchmarks import accuracy, creep
+from benchmarks import accuracy, creep, lidar_accuracy
 from benchmarks._measure import Outcome, measured
 from benchmarks._report import Before, Row, Target, exponent, row, versions
 from benchmarks.vibration import GRAVITY_M_S2, RATE_HZ, Shaking, errors, per_sample
@@ -391,3 +391,44 @@ def test_creep_rows() -> None:
     assert rows["positions, far end: mean sigma"].value == pytest.approx(2.5 / 3)
     assert rows["registration: mean NEES"].value == 4.0
     assert [r.value for r in creep.all_rows(["seed 0: no"])] == [1.0]
+
+
+# Legs -------------------------------------------------------------------------------------------------------
+
+
+def test_lidar_accuracy_rows() -> None:
+    """Rms and bound over all seeds, the errors of the calibration by their sigmas; failures are counted."""
+    off = [1.0] * 9
+    one = lidar_accuracy.Seed(0, (4e-4, 9e-4), (4e-4, 9e-4), 1.0, 1.0, off, off, 1.0)
+    two = lidar_accuracy.Seed(2, (12e-4, 9e-4), (4e-4, 9e-4), 2.0, 1.0, [*off[1:], 7.0], off, 3.0)
+    rows = {r.name: r for r in lidar_accuracy.all_rows([one, "seed 1: no", two])}
+    assert (rows["runs of all seeds that failed"].value, rows["runs of all seeds that failed"].met) == (1.0, False)
+    assert rows["bound with legs, without beside"].value == pytest.approx(0.02)
+    assert rows["bound with legs, without beside"].peer == pytest.approx(0.03)
+    over = rows["rms error by the bound, without legs beside"]
+    assert (over.value, over.peer, over.met) == (pytest.approx(np.sqrt(2)), pytest.approx(1.0), False)
+    assert rows["position: mean NEES"].value == 1.5
+    assert rows["angle bias and mounting about up together: rms error by its sigma"].value == 5.0
+    assert [r.value for r in lidar_accuracy.all_rows(["seed 0: no"])] == [1.0]
+
+
+def test_calibration_of_the_scanner_is_compared_with_what_was_drawn() -> None:
+    """Against the log's own declaration: an estimate of nothing, known as declared, is off by what was drawn."""
+    from types import SimpleNamespace
+
+    from graphnav.leg_priors import lidar_sigmas
+    from graphnav.simulation.lidar import declared, draw_lidar_errors
+    from graphnav.simulation.scenarios import shearer_lidar
+    from graphnav.simulation.world import streams
+
+    spec = shearer_lidar(2, False, True).lidar
+    log = SimpleNamespace(lidar=declared(spec))
+    sigma = lidar_sigmas(log.lidar)
+    run = SimpleNamespace(stops=SimpleNamespace(scanner=np.zeros(8), cov=np.diag(sigma**2)))
+    off, learnt, nees = lidar_accuracy.calibration(run, log, 5, 2)
+    assert np.allclose(learnt, 1.0)
+    drawn = draw_lidar_errors(spec, streams(5).lidar, 1.0)
+    assert off[0] == pytest.approx(-drawn.range_scale / spec.range_scale)
+    assert off[4] == pytest.approx(-drawn.angle_quadratic_per_deg / spec.angle_quadratic_per_deg)
+    assert off[7] == pytest.approx(-np.degrees(drawn.mounting_rad[2]) / spec.mounting_sigma_deg[2])
+    assert nees == pytest.approx(np.mean(np.square(off[:8])))

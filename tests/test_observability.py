@@ -582,6 +582,16 @@ def test_every_cause_of_a_large_error_names_it() -> None:
     assert np.linalg.norm([d.size for d in found]) == pytest.approx(np.hypot(40, 20), rel=0.01)
 
 
+def test_what_is_known_in_a_sum_alone_is_named_with_its_partner() -> None:
+    """Ten times better known than before, and all that is left of it is the other's."""
+    alone = [({state.name: 1.0}, 1e-3) for state in STATES if state.name not in ("heading", "odometer scale")]
+    cov = known(({"heading": 1.0, "odometer scale": 0.1}, 1e-3), *alone)
+    (found,) = weak_directions(cov, REFERENCE, STATES)
+    amount = dict(zip((s.name for s in found.states), found.amounts, strict=True))
+    assert set(amount) == {"heading", "odometer scale"}
+    assert amount["heading"] / REFERENCE[5] == pytest.approx(-0.1 * amount["odometer scale"] / REFERENCE[18], rel=0.01)
+
+
 def test_information_is_that_of_the_data_alone() -> None:
     """Eigenvalues of ``D (P^-1 - D^-2) D`` of the ten states that do not move."""
     rng = np.random.default_rng(4)
