@@ -29,7 +29,7 @@ _NAMED = 0.6
 _MAKES_UP = 0.5
 #: One that is known well is named where this much of what is left of its sigma is the direction: known with the others
 #: of it alone, as a sum.
-_ONLY_WITH = 0.95
+_ONLY_WITH = 0.85
 
 
 class State(NamedTuple):
