@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AdvanceFamily:
-    """Pairs of legs (`factors.landmark`) a push apart: ``e = r'(x_j - x_i) - push`` with x the place, r across the face.
+    """Pairs of legs (`factors.landmark`) a push apart: ``e = r'(x_j - x_i) - push``, x the place, r across the face.
 
     Along the face the creep comes in, which the closed path holds far better at its ends, so that row is left out. The
     push moves the foot; what a lean makes of it at the height of the place is noise here. As a part of the error it

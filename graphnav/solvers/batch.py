@@ -142,19 +142,36 @@ def _ordering(linear: gtsam.GaussianFactorGraph, first: list[int] | None) -> gts
 
     if first is None:
         return gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-    ordering = gtsam.Ordering()
-    if not first:
-        return gtsam.Ordering.MetisGaussianFactorGraph(linear)
+    ordering, rest = gtsam.Ordering(), linear
     for key in first:
         ordering.push_back(key)
     try:
-        _, rest = linear.eliminatePartialMultifrontal(ordering)
+        if first:
+            _, rest = linear.eliminatePartialMultifrontal(ordering)
+        alone = _alone(rest)
+        if alone:
+            for key in alone:
+                ordering.push_back(key)
+            _, rest = linear.eliminatePartialMultifrontal(ordering)
     except RuntimeError:  # indeterminate to Cholesky
-        return gtsam.Ordering.MetisGaussianFactorGraph(linear)
+        return gtsam.Ordering.ColamdGaussianFactorGraph(linear)
     last = gtsam.Ordering.MetisGaussianFactorGraph(rest)
     for k in range(last.size()):
         ordering.push_back(last.at(k))
     return ordering
+
+
+def _alone(linear: gtsam.GaussianFactorGraph) -> list[int]:
+    """Variables that share no factor with another: METIS does not survive them."""
+    tied: set[int] = set()
+    keys: set[int] = set()
+    for k in range(linear.size()):
+        factor = linear.at(k)
+        found = factor.keys() if factor is not None else []
+        keys.update(found)
+        if len(found) > 1:
+            tied.update(found)
+    return sorted(keys - tied)
 
 
 def _sound(tree: gtsam.GaussianBayesTree, order: list[int], delta: gtsam.VectorValues) -> bool:
