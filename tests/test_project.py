@@ -55,6 +55,7 @@ FLOORS = (
         "graphnav.graph",
         "graphnav.chain_graph",
         "graphnav.legs",
+        "graphnav.leg_advances",
         "graphnav.leg_means",
         "graphnav.leg_priors",
         "graphnav.initial",
