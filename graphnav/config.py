@@ -103,6 +103,9 @@ class LidarConfig(_Section):
     """Support legs as landmarks."""
 
     use: bool = True
+    side: Literal["left", "right", "both"] = Field(
+        "left", description="where legs are looked for in raw scans, which are used where there are no detections"
+    )
     window_s: float = Field(5.0, gt=0, description="detections of a leg within this span become one")
     window_m: float = Field(0.5, gt=0, description="and no farther apart than the machine goes")
     together_m: float | None = Field(

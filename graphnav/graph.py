@@ -15,7 +15,7 @@ from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings
 from graphnav.log import InitialState, Lidar
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import B, C, K, L, Problem, V, X, creep_cycles
+from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
 
 if TYPE_CHECKING:
     import gtsam
@@ -45,9 +45,8 @@ class SmoothingGraph:
     chain: list[int] | None = None
 
     def only_legs(self, readings: LegReadings, lidar: Lidar) -> SmoothingGraph:
-        """With only some of its readings; legs left without are tied to nothing, which METIS does not survive."""
-        bare = np.setdiff1d(np.arange(len(readings.feature)), readings.leg) + L(0)
-        return replace(self, legs=readings.family(lidar), chain=[*bare.tolist(), *(self.chain or ())])
+        """With only some of its readings; legs left without keep their variables."""
+        return replace(self, legs=readings.family(lidar))
 
     def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
         """Whitened linear factors of everything."""

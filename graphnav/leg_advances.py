@@ -2,8 +2,8 @@
 
 Numbers of features say nothing of supports, so pairs are found by place: of the legs last seen before a leg was first
 seen, the one nearest to where the push has it come from, within half the spacing along the face (creep and the drift of
-the path together are less) and `_ACROSS_M` across. Legs lean, and are read at different heights: that is noise of the
-pair.
+the path together are less) and `_ACROSS_M` across. All legs lean alike, so a pair read at different heights would see
+the push wrong, and always to the same side: only pairs read within `_RISE_M` of each other count.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: How far a leg may stand across the face from where the push has it: sigmas of the push, and metres of the path's.
 _SIGMAS, _ACROSS_M = 4.0, 0.15
+#: Largest difference of the heights at which the two legs of a pair are placed.
+_RISE_M = 0.1
 
 
 def leg_advances(problem: Problem, readings: LegReadings, values: gtsam.Values) -> AdvanceFamily | None:
@@ -52,10 +54,12 @@ def leg_advances(problem: Problem, readings: LegReadings, values: gtsam.Values) 
     push = np.array([push_at(problem.log, int(c), float(s)) for c, s in zip(cycle, place[:, 0], strict=True)])
     reach = np.array([min(_spacing(readings, place[:, 0]) / 2, face.length_m), _SIGMAS * face.push_sigma_m + _ACROSS_M])
     before, after = _pairs(place, push, first, last, reach)
-    if not len(before):
+    rise = np.abs(readings.place_n[after, 2] - readings.place_n[before, 2])
+    level = rise < _RISE_M
+    if not level.any():
         return None
-    rise = readings.place_n[after, 2] - readings.place_n[before, 2]
-    sigma = np.hypot(face.push_sigma_m, np.tan(np.radians(config.lean_sigma_deg)) * rise)
+    before, after = before[level], after[level]
+    sigma = np.hypot(face.push_sigma_m, np.tan(np.radians(config.lean_sigma_deg)) * rise[level])
     return AdvanceFamily(L(0) + before, L(0) + after, across, push[before], sigma)
 
 

@@ -194,7 +194,7 @@ def leg_warnings(
 
 def warnings(problem: Problem, biases_moved: bool) -> list[str]:
     """What the user should know of the record and the solution, one line each."""
-    found = []
+    found = list(problem.notes)
     log, frontend = problem.log, problem.frontend
     bridged = problem.imu.bridged_s
     if len(bridged):

@@ -72,6 +72,7 @@ class Problem:
     imu : contiguous samples; noise, gravity_m_s2, earth_rate_n : their model.
     minor_s : minor interval of the two-speed algorithm, s.
     bias_epoch, calibration_epoch : (N-1,) epoch of each interval between keyframes.
+    notes : what the user should know of how the log was prepared, one line each.
     """
 
     log: SensorLog
@@ -84,6 +85,7 @@ class Problem:
     minor_s: float
     bias_epoch: npt_int
     calibration_epoch: npt_int
+    notes: tuple[str, ...] = ()
 
     @property
     def keyframe_s(self) -> Array:
@@ -102,7 +104,7 @@ class Problem:
         return self.log.odometer is not None
 
 
-def pose_problem(log: SensorLog, config: Config, frontend: Frontend) -> Problem:
+def pose_problem(log: SensorLog, config: Config, frontend: Frontend, notes: tuple[str, ...] = ()) -> Problem:
     """Check what smoothing needs and fix the models.
 
     Raises
@@ -132,7 +134,7 @@ def pose_problem(log: SensorLog, config: Config, frontend: Frontend) -> Problem:
     t = frontend.keyframe_s
     return Problem(
         log, config, frontend, samples, noise, float(gravity), earth_rate_n(log.frames.latitude_deg), minor_s,
-        _epochs(t, config.imu.bias_epoch_s), _epochs(t, config.odometer.calibration_epoch_s),
+        _epochs(t, config.imu.bias_epoch_s), _epochs(t, config.odometer.calibration_epoch_s), notes,
     )  # fmt: skip
 
 

@@ -25,6 +25,7 @@ from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.run import Diagnostics, Run
+from graphnav.scanned import with_scanned_legs
 from graphnav.solution import Solved, solve_batch, solve_isam2
 from graphnav.trajectory import Trajectory
 
@@ -82,8 +83,9 @@ def _posed(log: SensorLog, config: Config, stages: Stages) -> Problem:
     with stages.stage("frontend"):
         rest = rest_spans(log)
         refuse_wrong_units(log, rest)
+        log, notes = with_scanned_legs(log, config)
         frontend = run_frontend(log, config, rest)
-        return pose_problem(log, config, frontend)
+        return pose_problem(log, config, frontend, notes)
 
 
 def _opened(log: SensorLog | str | Path, stages: Stages) -> SensorLog:

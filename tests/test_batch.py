@@ -218,3 +218,76 @@ def test_arrays_and_single_factors_are_one_problem() -> None:
         single.add(found.factor)
     assert single.error(values) == pytest.approx(graph.linearize(values).error(values.zeroVectors()), rel=1e-9)
     assert start.pos_n.shape == (1, 3)
+
+
+# With landmarks ---------------------------------------------------------------------------------------------
+
+
+def marks(count: int, alone: int = 0) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """A chain of points, each of which sees two landmarks; and variables that share no factor with any."""
+    rng = np.random.default_rng(4)
+    graph, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.PriorFactorVector(X(0), np.zeros(3), UNIT(3)))
+    for i in range(count):
+        start.insert(X(i), rng.normal(size=3))
+        if i:
+            graph.add(gtsam.BetweenFactorVector(X(i - 1), X(i), rng.normal(size=3), UNIT(3)))
+        for j in (i // 5, i // 5 + 1) if i % 2 else ():
+            if not start.exists(V(j)):
+                start.insert(V(j), rng.normal(size=3))
+            graph.add(gtsam.BetweenFactorVector(X(i), V(j), rng.normal(size=3), UNIT(3)))
+    for k in range(alone):
+        start.insert(V(1000 + k), rng.normal(size=3))
+        graph.add(gtsam.PriorFactorVector(V(1000 + k), rng.normal(size=3), UNIT(3)))
+    return graph, start
+
+
+@pytest.mark.parametrize("alone", [0, 3])
+@pytest.mark.parametrize("first", [True, False])
+def test_landmarks_are_ordered_last_and_nothing_is_lost(alone: int, first: bool) -> None:
+    graph, start = marks(40, alone)
+    chain_ = [X(i) for i in range(0, 40, 2)] if first else []
+    found = batch.solve(graph, start, first=chain_)
+    known = batch.solve(graph, start)
+    assert sorted(found.order) == sorted(known.order)
+    assert found.order[: len(chain_)] == chain_
+    assert found.converged
+    for key in known.order:
+        np.testing.assert_allclose(found.values.atVector(key), known.values.atVector(key), atol=1e-9)
+
+
+def test_sound_pivots_are_those_of_a_well_conditioned_problem() -> None:
+    graph, start = marks(20)
+    linear = graph.linearize(start)
+    ordering = batch._ordering(linear, [])
+    tree = linear.eliminateMultifrontal(ordering)
+    order = [ordering.at(k) for k in range(ordering.size())]
+    assert batch._sound(tree, order, tree.optimize())
+    # two points tied a million times better than they are known
+    strong = gtsam.NonlinearFactorGraph(graph)
+    strong.add(gtsam.BetweenFactorVector(X(0), X(19), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)))
+    linear = strong.linearize(start)
+    tree = linear.eliminateMultifrontal(ordering)
+    assert not batch._sound(tree, order, tree.optimize())
+
+
+def test_a_valley_with_next_to_no_slope_is_left() -> None:
+    """Errors that fall by 0.1 an iteration, each step a whole sigma: five are enough with landmarks, else never."""
+    _, start = marks(10)
+
+    class Valley:
+        def __init__(self) -> None:
+            self.calls = 0
+
+        def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
+            self.calls += 1
+            linear = gtsam.GaussianFactorGraph()
+            for key in values.keys():
+                linear.add(gtsam.JacobianFactor(key, np.eye(3), np.full(3, 0.2), UNIT(3)))
+            held = gtsam.JacobianFactor(X(0), np.zeros((1, 3)), np.array([np.sqrt(100 - 0.2 * self.calls)]), UNIT(1))
+            linear.add(held)
+            return linear
+
+    found = batch.solve(Valley(), start, first=[], max_iterations=20)
+    assert found.converged and len(found.iterations) == 5
+    assert not batch.solve(Valley(), start, max_iterations=20).converged

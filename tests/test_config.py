@@ -114,4 +114,5 @@ def test_every_number_of_the_default_is_written() -> None:
         for name in type(model).model_fields
         if name not in written[section]
     ]
-    assert missing == ["keyframes.distance_m", "closed_path.interval_m", "lidar.together_m"]
+    filter_ = ["lidar_filter.mode", "lidar_filter.distance_m"]
+    assert missing == ["keyframes.distance_m", "closed_path.interval_m", "lidar.together_m", *filter_]

@@ -20,6 +20,7 @@ from graphnav.problem import B, C, V, X
 from graphnav.simulation.scenarios import FULL_SHIFT
 from graphnav.smooth import smooth
 from graphnav.solvers import batch
+from graphnav.solvers import covariance as covariance_
 from graphnav.solvers.covariance import joint_marginals
 
 DIMS = {"x": 6, "v": 3, "b": 6, "c": 4}
@@ -99,6 +100,40 @@ def test_marginals_are_blocks_of_the_dense_inverse(count: int, loops: int, apart
         for name, keys in groups.items():
             index = np.concatenate([rows[k] for k in keys])
             assert_same(found[name], covariance[np.ix_(index, index)], 1e-7)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_p_in_place_of_its_root_says_the_same(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For cliques of any size, where no variable is known to the others far better than to the world."""
+    graph = random_problem(seed, 40, 15)
+    for i in range(40):
+        graph.add(gtsam.JacobianFactor(X(i), 10.0 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6)))
+    tree, order = eliminated(graph)
+    groups = {k: (k,) for k in order}
+    roots = joint_marginals(tree, order, dims, groups)
+    monkeypatch.setattr(covariance_, "_LARGE", 1)
+    used = []
+    monkeypatch.setattr(covariance_, "_squared", lambda *a, f=covariance_._squared: used.append(1) or f(*a))
+    found = joint_marginals(tree, order, dims, groups)
+    assert used
+    for key, cov in roots.items():
+        assert_same(found[key], cov, 1e-6)
+
+
+def test_where_p_would_lose_digits_roots_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neighbours a million times better known to each other than to the world."""
+    graph, unit = gtsam.GaussianFactorGraph(), gtsam.noiseModel.Unit.Create(6)
+    graph.add(gtsam.JacobianFactor(X(0), 1e-2 * np.eye(6), np.zeros(6), unit))
+    for i in range(20):
+        graph.add(gtsam.JacobianFactor(X(i), -1e4 * np.eye(6), X(i + 1), 1e4 * np.eye(6), np.zeros(6), unit))
+    tree, order = eliminated(graph)
+    groups = {k: (k,) for k in order}
+    roots = joint_marginals(tree, order, dims, groups)
+    monkeypatch.setattr(covariance_, "_LARGE", 1)
+    with pytest.raises(covariance_._IllConditionedError):
+        covariance_._marginals(tree, order, dims, groups, None, 1)
+    found = joint_marginals(tree, order, dims, groups)
+    assert all(np.array_equal(found[key], cov) for key, cov in roots.items())
 
 
 def test_keys_of_a_group_come_in_the_order_asked_for() -> None:

@@ -66,6 +66,7 @@ FLOORS = (
     {
         "graphnav.smooth",
         "graphnav.outcome",
+        "graphnav.scanned",
         "graphnav.solution",
         "graphnav.filtered",
         "graphnav.leg_filtered",

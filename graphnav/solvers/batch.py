@@ -27,6 +27,8 @@ _NEAR_SIGMAS = 30.0
 #: Cholesky squares the condition number: with pivots smaller than the diagonal by less than this it keeps covariances
 #: to a thousandth (measured: 3e-4 at 8e10, 7e-6 at 8e8).
 _SOUND = 1e11
+#: Steps that lower the error (half a chi-square) by less than this, in a row, are enough.
+_FLAT, _FLAT_ITERATIONS = 0.2, 5
 #: Diagonal entries of R this much smaller than their clique's largest are round-off.
 _RANK = 1e-12
 
@@ -84,7 +86,9 @@ def solve(
     out, and the Bayes tree.
 
     Convergence rule: stop after a step whose joint Mahalanobis length, ``sqrt(delta' H delta)`` over all variables,
-    is at most `tolerance_sigma`: what is left is that small a part of one standard deviation. A step that raises the
+    is at most `tolerance_sigma`: what is left is that small a part of one standard deviation. With `first` also after
+    five steps in a row that each lower the error by next to nothing (`_FLAT`): the lean of a leg times an error of
+    height is bilinear, and where neither is known, steps of half a sigma creep along a valley. A step that raises the
     error is shortened, and where that does not help damped, until it lowers it.
 
     Raises
@@ -99,7 +103,7 @@ def solve(
     error = linear.error(values.zeroVectors())
     if not np.isfinite(error):
         raise SolveError("the error is not finite at the start: check the log for impossible values")
-    near = False
+    near, flat = False, 0
     while True:
         began = time.perf_counter()
         tree, delta, step = _step(linear, ordering, error, exact=near)
@@ -121,14 +125,18 @@ def solve(
                 found = shorter or _damped_step(graph, values, ordering, error)
                 moved, linear, next_error, damping = found
         iterations.append(Iteration(error, step, damping, time.perf_counter() - began))
+        flat = flat + 1 if error - next_error < _FLAT else 0
         values, error = moved, next_error
         if progress is not None:
             progress(len(iterations), max_iterations)
         if converged:
             break
-        if len(iterations) == max_iterations:
+        converged = first is not None and flat == _FLAT_ITERATIONS
+        if converged or len(iterations) == max_iterations:
             if exact:
-                tree = eliminate(linear, ordering)
+                tree, delta, _ = _step(linear, ordering, error, exact=first is None)
+                if first is not None and not _sound(tree, order, delta):
+                    tree = eliminate(linear, ordering)
             break
     if not exact:
         return BatchResult(values, None, tuple(iterations), converged, order)
@@ -169,19 +177,36 @@ def _ordering(linear: gtsam.GaussianFactorGraph, first: list[int] | None) -> gts
 
     if first is None:
         return gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-    ordering = gtsam.Ordering()
-    if not first:
-        return gtsam.Ordering.MetisGaussianFactorGraph(linear)
+    ordering, rest = gtsam.Ordering(), linear
     for key in first:
         ordering.push_back(key)
     try:
-        _, rest = linear.eliminatePartialMultifrontal(ordering)
+        if first:
+            _, rest = linear.eliminatePartialMultifrontal(ordering)
+        alone = _alone(rest)
+        if alone:
+            for key in alone:
+                ordering.push_back(key)
+            _, rest = linear.eliminatePartialMultifrontal(ordering)
     except RuntimeError:  # indeterminate to Cholesky
-        return gtsam.Ordering.MetisGaussianFactorGraph(linear)
+        return gtsam.Ordering.ColamdGaussianFactorGraph(linear)
     last = gtsam.Ordering.MetisGaussianFactorGraph(rest)
     for k in range(last.size()):
         ordering.push_back(last.at(k))
     return ordering
+
+
+def _alone(linear: gtsam.GaussianFactorGraph) -> list[int]:
+    """Variables that share no factor with another: METIS does not survive them."""
+    tied: set[int] = set()
+    keys: set[int] = set()
+    for k in range(linear.size()):
+        factor = linear.at(k)
+        found = factor.keys() if factor is not None else []
+        keys.update(found)
+        if len(found) > 1:
+            tied.update(found)
+    return sorted(keys - tied)
 
 
 def _sound(tree: gtsam.GaussianBayesTree, order: list[int], delta: gtsam.VectorValues) -> bool:
