@@ -243,7 +243,9 @@ class LegFamily:
     Attributes
     ----------
     pose_key, leg_key, calibration_key : (K,) keys.
-    turn_b, shift_b : (K, 3, 3) and (K, 3) from the pose's frame to that in which the reading was taken.
+    turn_b, shift_n : (K, 3, 3) and (K, 3) from the pose to that in which the reading was taken: a turn in the body's
+        frame, as gyros measure it, and a displacement in n. In the body's frame it would tell the heading: where a
+        path leads is known far better than where the machine points.
     range_m, angle_rad, height_m, off_plane_m : (K,); sigma : (K, 2) in m and rad.
     spread : (K, 2, 5) added to the error per unit of the calibration's first five: a mean of detections is not
         displaced by them quite as a detection at the mean would be.
@@ -255,7 +257,7 @@ class LegFamily:
     leg_key: npt_int
     calibration_key: npt_int
     turn_b: Array
-    shift_b: Array
+    shift_n: Array
     range_m: Array
     angle_rad: Array
     height_m: Array
@@ -268,11 +270,11 @@ class LegFamily:
 
     def residuals(self, values: gtsam.Values, rows: slice = slice(None)) -> tuple[Array, Array, Array, Array]:
         """`leg_residual` of some of the readings, whitened."""
-        pose, turn, shift = lookup.poses(values, self.pose_key[rows]), self.turn_b[rows], self.shift_b[rows]
+        pose, turn = lookup.poses(values, self.pose_key[rows]), self.turn_b[rows]
         rotation, back = pose[:, :3, :3], so3.transpose(turn)
         calibration, more = lookup.vectors(values, self.calibration_key[rows]), self.spread[rows]
         error, by_moved, by_leg, by_calibration = leg_residual(
-            rotation @ turn, pose[:, :3, 3] + np.einsum("kij,kj->ki", rotation, shift),
+            rotation @ turn, pose[:, :3, 3] + self.shift_n[rows],
             lookup.vectors(values, self.leg_key[rows]), calibration,
             self.range_m[rows], self.angle_rad[rows], self.height_m[rows],
             self.rotation_bs, self.lever_arm_b, self.off_plane_m[rows],
@@ -280,7 +282,7 @@ class LegFamily:
         error += np.einsum("kij,kj->ki", more, calibration[:, :5])
         by_calibration[..., :5] += more
         by_turn, by_shift = by_moved[..., :3] @ back, by_moved[..., 3:] @ back
-        by_pose = np.concatenate([by_turn - by_shift @ so3.skew(shift), by_shift], axis=-1)
+        by_pose = np.concatenate([by_turn, by_shift], axis=-1)
         sigma = self.sigma[rows]
         return error / sigma, by_pose / sigma[..., None], by_leg / sigma[..., None], by_calibration / sigma[..., None]
 

@@ -40,7 +40,7 @@ class LegReadings:
     Attributes
     ----------
     keyframe : (K,) index; leg : (K,) index into `feature`; count : (K,) detections in each.
-    turn_b, shift_b : (K, 3, 3), (K, 3) from b at the keyframe to b at the mean time of the detections.
+    turn_b, shift_n : (K, 3, 3), (K, 3) from b at the keyframe to b at the mean time of the detections.
     range_m, angle_rad, off_plane_m : (K,); sigma : (K, 2) m and rad.
     spread : (K, 2, 5) what averaging made of the scanner's errors, see `graphnav.leg_means.spread`.
     feature : (J,) feature numbers of the legs, twice or more for one that moved and kept its number; place_n : (J, 3)
@@ -52,7 +52,7 @@ class LegReadings:
     leg: npt_int
     count: npt_int
     turn_b: Array
-    shift_b: Array
+    shift_n: Array
     range_m: Array
     angle_rad: Array
     off_plane_m: Array
@@ -75,7 +75,7 @@ class LegReadings:
     def family(self, lidar: Lidar, loss: float | None = None) -> landmark.LegFamily:
         """As factors, see `factors.landmark.LegFamily` for the loss."""
         return landmark.LegFamily(
-            X(0) + self.keyframe, L(0) + self.leg, np.full(len(self.leg), D(0)), self.turn_b, self.shift_b,
+            X(0) + self.keyframe, L(0) + self.leg, np.full(len(self.leg), D(0)), self.turn_b, self.shift_n,
             self.range_m, self.angle_rad, self.place_n[self.leg, 2], self.off_plane_m, self.spread, self.sigma,
             from_quaternion(lidar.T_bs_quat_wxyz), lidar.T_bs_pos_m, loss,
         )  # fmt: skip
@@ -160,7 +160,7 @@ def _of_block(
     mean_ray = level / np.hypot(level[:, 0], level[:, 1])[:, None]
     own = np.array([lidar.range_sigma_m, np.radians(lidar.angle_sigma_deg)]) / np.sqrt(groups.count)[:, None]
     return (
-        at, which, groups.count, to_b @ rotation, np.einsum("kij,kj->ki", to_b, pos - way.pos_n[at]),
+        at, which, groups.count, to_b @ rotation, pos - way.pos_n[at],
         range_m, angle_rad, off, spread(groups, ray, ranges, angles, mean_ray, range_m, angle_rad),
         np.hypot(own, together(log, config.lidar, groups, since_s, at, range_m)), mean,
     )  # fmt: skip
