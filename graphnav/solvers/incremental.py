@@ -18,9 +18,11 @@ from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
 from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
+from graphnav.legs import uses_legs
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.solvers.absolute import predicted_factor
+from graphnav.solvers.incremental_legs import LegFeed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -71,6 +73,9 @@ def parameters(config: Isam2Config) -> gtsam.ISAM2Params:
         ("b", [config.threshold_accel_bias_m_s2] * 3 + [config.threshold_gyro_bias_rad_s] * 3),
         ("c", [config.threshold_scale] + [config.threshold_mounting_rad] * 3),
         ("k", [config.threshold_position_m]),
+        ("l", [config.threshold_position_m] * 2 + [config.threshold_position_m] * 2),
+        ("d", [config.threshold_scale, config.threshold_position_m, config.threshold_mounting_rad]
+         + [0.01] * 2 + [config.threshold_mounting_rad] * 3),
     ):
         thresholds.insert((letter, np.array(values)))
     params.setRelinearizeThreshold(thresholds)
@@ -92,6 +97,8 @@ class _Session:
         self.creeping = set(creep_cycles(problem))
         self.predicted: list[gtsam.NonlinearFactor] = []
         self.relinearized = self.reeliminated = 0
+        self.reelim = []
+        self.feed = LegFeed(problem, data) if uses_legs(problem) else None
 
     def step(self, key: int) -> Array:
         """The solution for one variable relative to its linearization point.
@@ -175,9 +182,15 @@ class _Session:
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self.relinearized += result.getVariablesRelinearized()
         self.reeliminated += result.getVariablesReeliminated()
+        self.reelim.append(result.getVariablesReeliminated())
         pose = self.pose(i)
         self.rotation, self.pos = pose[:3, :3], pose[:3, 3]
         self.vel = self.theta.atVector(V(i)) + self.step(V(i))
+        if self.feed is not None:
+            import time
+            b = time.perf_counter()
+            self.feed.feed(self, i, self.pending, self.values)
+            self.feed_s = getattr(self, "feed_s", 0) + time.perf_counter() - b
 
 
 def solve(
