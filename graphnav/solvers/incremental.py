@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.increments import npt_int
 from factors.inertial import predict
 from factors.so3 import Array
 from graphnav.config import Isam2Config
@@ -41,7 +42,8 @@ class IncrementalResult:
     causal : (N) states, each estimated from the measurements up to its own keyframe.
     values : smoothed estimates after the last keyframe, exact to the relinearization thresholds.
     predicted : the papers' closed-path priors that were made on the way; none with relative closed-path factors.
-    relinearized, reeliminated : variables treated over the whole run.
+    relinearized : variables relinearized over the whole run.
+    reeliminated : (U,) variables eliminated anew in every update.
     update_seconds : (U,) time of every update with its reading.
     """
 
@@ -49,7 +51,7 @@ class IncrementalResult:
     values: gtsam.Values
     predicted: list[gtsam.NonlinearFactor]
     relinearized: int
-    reeliminated: int
+    reeliminated: npt_int
     update_seconds: Array
 
 
@@ -73,9 +75,8 @@ def parameters(config: Isam2Config) -> gtsam.ISAM2Params:
         ("b", [config.threshold_accel_bias_m_s2] * 3 + [config.threshold_gyro_bias_rad_s] * 3),
         ("c", [config.threshold_scale] + [config.threshold_mounting_rad] * 3),
         ("k", [config.threshold_position_m]),
-        ("l", [config.threshold_position_m] * 2 + [config.threshold_position_m] * 2),
-        ("d", [config.threshold_scale, config.threshold_position_m, config.threshold_mounting_rad]
-         + [0.01] * 2 + [config.threshold_mounting_rad] * 3),
+        ("l", [config.threshold_position_m] * 2 + [config.threshold_lean] * 2),
+        ("d", [config.threshold_scale, config.threshold_position_m, *[config.threshold_mounting_rad] * 6]),
     ):
         thresholds.insert((letter, np.array(values)))
     params.setRelinearizeThreshold(thresholds)
@@ -96,9 +97,8 @@ class _Session:
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self.creeping = set(creep_cycles(problem))
         self.predicted: list[gtsam.NonlinearFactor] = []
-        self.relinearized = self.reeliminated = 0
-        self.reelim = []
-        self.feed = LegFeed(problem, data) if uses_legs(problem) else None
+        self.relinearized, self.reeliminated = 0, list[int]()
+        self.legs = LegFeed(problem, data) if uses_legs(problem) else None
 
     def step(self, key: int) -> Array:
         """The solution for one variable relative to its linearization point.
@@ -181,16 +181,12 @@ class _Session:
             raise SolveError.singular(error) from None
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self.relinearized += result.getVariablesRelinearized()
-        self.reeliminated += result.getVariablesReeliminated()
-        self.reelim.append(result.getVariablesReeliminated())
+        self.reeliminated.append(result.getVariablesReeliminated())
         pose = self.pose(i)
         self.rotation, self.pos = pose[:3, :3], pose[:3, 3]
         self.vel = self.theta.atVector(V(i)) + self.step(V(i))
-        if self.feed is not None:
-            import time
-            b = time.perf_counter()
-            self.feed.feed(self, i, self.pending, self.values)
-            self.feed_s = getattr(self, "feed_s", 0) + time.perf_counter() - b
+        if self.legs is not None:
+            self.legs.feed(self, i, self.pending, self.values)
 
 
 def solve(
@@ -243,5 +239,5 @@ def solve(
             progress(i + 1, count)
     final = session.isam.calculateEstimate()
     return IncrementalResult(
-        causal, final, session.predicted, session.relinearized, session.reeliminated, np.array(seconds)
+        causal, final, session.predicted, session.relinearized, np.array(session.reeliminated), np.array(seconds)
     )

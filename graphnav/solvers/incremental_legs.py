@@ -1,18 +1,19 @@
 """LiDAR legs for iSAM2: readings condensed window by window along the path as it is known then.
 
-A window of detections (`graphnav.legs.Windows`) is complete at the first update that reaches its end. Its detections are
-brought together along iSAM2's estimates of its keyframes, and the readings are fed with the next update, some seconds
-after they were taken. A leg that was out of view for long is a new variable: one seen again after hours would
-re-eliminate all that lies between.
+A window of detections (`graphnav.legs.Windows`) is complete at the first update that reaches its end. Its detections
+are brought together along iSAM2's estimates of its keyframes, and the readings are fed with the next update, some
+seconds after they were taken. So that the cost of an update stays bounded, a few legs are followed at a time, and one
+that was out of view for long is a new variable: one seen again after hours would re-eliminate all that lies between.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from factors.increments import npt_int
 from factors.inertial import predict
 from factors.so3 import Array, to_quaternion
 from graphnav.leg_means import stepped, velocity_variance
@@ -25,6 +26,9 @@ from graphnav.trajectory import ImuBridge, Trajectory
 if TYPE_CHECKING:
     import gtsam
 
+#: A leg whose estimate has moved this far, m, from where it is linearized is a new one from then on: with poses that
+#: are linearized at the new estimate its readings would be linearized at places that nothing is at.
+_STALE_M = 0.1
 #: Windows in a row in which a leg may be elsewhere before it counts as moved.
 _MISSES = 2
 
@@ -51,9 +55,9 @@ class _Leg:
 
     variable: int
     height_m: float
-    keyframe: int
-    place_b: Array
-    sigma_m: float
+    keyframe: int = 0
+    place_b: Array = field(default_factory=lambda: np.zeros(3))
+    sigma_m: float = 0.0
     misses: int = 0
 
 
@@ -68,17 +72,23 @@ class LegFeed:
 
     def __init__(self, problem: Problem, data: Preintegrated) -> None:
         log = problem.log
-        assert log.lidar is not None
-        self.problem, self.data, self.lidar = problem, data, log.lidar
+        assert log.lidar is not None and log.lidar_points is not None
+        self.problem, self.data, self.lidar, self.points = problem, data, log.lidar, log.lidar_points
         self.windows, self.done = Windows.of(problem), 0
         self.velocity_m2_s2 = velocity_variance(log)
         self.lean = float(np.tan(np.radians(problem.config.lidar.lean_sigma_deg)))
         self.surveyed = {mark.feature: mark for mark in log.lidar.landmark}
         self.legs: dict[int, _Leg] = {}
+        self.in_view_since: dict[int, int] = {}
         self.variables = self.readings = self.refused = 0
 
     def feed(self, estimates: Estimates, i: int, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        """Add to graph and values what the windows complete at keyframe i bring, to be solved with the next update."""
+        """Add to graph and values what the windows complete at keyframe i bring, to be solved with the next update.
+
+        Parameters
+        ----------
+        estimates : after the update at keyframe i.
+        """
         while self.done < len(self.windows.centre) and self.windows.last[self.done] <= i:
             self._feed_window(self.done, estimates, graph, values)
             self.done += 1
@@ -89,72 +99,112 @@ class LegFeed:
         if not (estimates.theta.exists(D(0)) or values.exists(D(0))):
             values.insert(D(0), np.zeros(8))
             graph.add(calibration_prior(self.lidar))
-        centre = int(self.windows.centre[w])
-        readings = self._condensed(w, estimates)
-        pose = {centre: estimates.pose(centre)}
-        use, variable, height = [], [], []
+        centre, readings = int(self.windows.centre[w]), self._condensed(w, estimates)
+        pose, linearized = _Poses(estimates, False), _Poses(estimates, True)
+        use, legs = [], []
         for k, number in enumerate(readings.feature.tolist()):
-            sigma_m = float(readings.sigma[k, 0])
-            place_b = _into(pose[centre], readings.place_n[k])
+            place_n, sigma_m = readings.place_n[k], float(readings.sigma[k, 0])
             leg = self._leg(number, centre)
             if leg is not None:
-                if leg.keyframe not in pose:
-                    pose[leg.keyframe] = estimates.pose(leg.keyframe)
-                before_n = pose[leg.keyframe][:3, :3] @ leg.place_b + pose[leg.keyframe][:3, 3]
-                if stepped(before_n, readings.place_n[k], leg.sigma_m, sigma_m):
+                before_n = pose.place(leg)
+                if stepped(before_n, place_n, leg.sigma_m, sigma_m):
                     leg.misses += 1
                     if leg.misses < _MISSES:
                         self.refused += 1
                         continue
                     leg = None
+                elif np.linalg.norm(before_n - linearized.place(leg)) > _STALE_M:
+                    leg = None
             if leg is None:
-                leg = self._new(number, readings.place_n[k], graph, values)
-            leg.keyframe, leg.place_b, leg.sigma_m, leg.misses = centre, place_b, sigma_m, 0
+                leg = self._new(number, place_n, graph, values)
+            rotation, pos = pose.at(centre)
+            leg.keyframe, leg.place_b, leg.sigma_m, leg.misses = centre, rotation.T @ (place_n - pos), sigma_m, 0
             use.append(k)
-            variable.append(leg.variable)
-            height.append(leg.height_m)
-        if use:
-            found = readings.family(self.lidar).only(np.array(use))
-            keys = {"pose_key": np.full(len(use), X(centre)), "leg_key": L(0) + np.array(variable)}
-            for factor in replace(found, **keys, height_m=np.array(height)).factors():
-                graph.add(factor)
-            self.readings += len(use)
+            legs.append(leg)
+        self.readings += len(use)
+        for factor in self._factors(readings, use, legs, centre):
+            graph.add(factor)
+
+    def _factors(
+        self, readings: LegReadings, use: list[int], legs: list[_Leg], keyframe: int
+    ) -> list[gtsam.CustomFactor]:
+        """Factors of the readings to use, each with what stands for its leg."""
+        if not use:
+            return []
+        family = replace(
+            readings.only(np.array(use)).family(self.lidar),
+            pose_key=np.full(len(use), X(keyframe)),
+            leg_key=np.array([L(leg.variable) for leg in legs]),
+            height_m=np.array([leg.height_m for leg in legs]),
+        )
+        return family.factors()
 
     def _condensed(self, w: int, estimates: Estimates) -> LegReadings:
         """The readings of a window, along the present estimates of its keyframes."""
         problem, data, windows = self.problem, self.data, self.windows
-        lo, hi = int(windows.first[w]), int(windows.last[w])
+        lo, hi, centre = int(windows.first[w]), int(windows.last[w]), int(windows.centre[w])
         pose = np.array([estimates.pose(i) for i in range(lo, hi + 1)])
         t_s, rotation, pos = problem.keyframe_s[lo : hi + 1], pose[:, :3, :3], pose[:, :3, 3]
         # the velocities with which the IMU leads from each position to the next
-        nav = problem.gravity_m_s2, problem.earth_rate_n
-        _, unmoved, gained = predict(rotation[:-1], pos[:-1], np.zeros((hi - lo, 3)), data.motion, np.arange(lo, hi), *nav)
-        vel = (pos[1:] - unmoved) / np.diff(t_s)[:, None]
+        nav, between = (problem.gravity_m_s2, problem.earth_rate_n), np.arange(lo, hi)
+        _, moved, gained = predict(rotation[:-1], pos[:-1], np.zeros((hi - lo, 3)), data.motion, between, *nav)
+        vel = (pos[1:] - moved) / np.diff(t_s)[:, None]
         vel = np.concatenate([vel, vel[-1:] + gained[-1:]])
         bridge = ImuBridge(problem.imu.samples, data.gyro_bias_b[lo:hi], data.accel_bias_b[lo:hi], *nav)
         way = Trajectory(t_s, pos, to_quaternion(rotation), vel, None, bridge)
-        rows = np.arange(windows.row[w], windows.row[w + 1])
-        return of_window(problem.log, problem.config, way, rows, int(windows.centre[w]) - lo, self.velocity_m2_s2)
+        rows = self._followed(np.arange(windows.row[w], windows.row[w + 1]), w)
+        return of_window(problem.log, problem.config, way, rows, centre - lo, self.velocity_m2_s2)
+
+    def _followed(self, rows: npt_int, w: int) -> npt_int:
+        """Rows of a window of the legs to use: those followed before, and others in place of those gone out of view.
+
+        The newest first, which stay in view longest; of those that came together, spread over the bearings.
+        """
+        feature, first = np.unique(self.points.feature[rows], return_index=True)
+        seen = feature[np.argsort(self.points.angle_rad[rows][first], kind="stable")].tolist()
+        self.in_view_since = {number: self.in_view_since.get(number, w) for number in seen}
+        keyframe = int(self.windows.centre[w])
+        followed = [k for k, number in enumerate(seen) if self._leg(number, keyframe) is not None]
+        while len(followed) < min(self.problem.config.isam2.legs_followed, len(seen)):
+            free = [k for k in range(len(seen)) if k not in followed]
+            since = [self.in_view_since[seen[k]] for k in free]
+            away = [min((abs(k - other) for other in followed), default=0) for k in free]
+            followed.append(max(zip(since, away, free, strict=True))[2])
+        return rows[np.isin(self.points.feature[rows], [seen[k] for k in followed])]
 
     def _leg(self, number: int, keyframe: int) -> _Leg | None:
-        """The leg of a number, unless it was out of view for long."""
+        """What stands for a number, unless it was out of view for long."""
         leg, t_s = self.legs.get(number), self.problem.keyframe_s
         gone = leg is None or t_s[keyframe] - t_s[leg.keyframe] > self.problem.config.isam2.leg_gap_s
         return None if gone else leg
 
-    def _new(
-        self, number: int, place_n: Array, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
-    ) -> _Leg:
-        height, j = float(place_n[2]), self.variables
-        # a survey counts once: one that moved is no longer there, and for one seen again it would count twice
+    def _new(self, number: int, place_n: Array, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> _Leg:
+        """A variable for a leg that is new, out of view for long, moved or stale."""
+        # a survey counts once: one that moved is no longer there, and one seen again would count it twice
         mark = None if number in self.legs else self.surveyed.get(number)
-        graph.add(leg_prior(j, mark, height, self.lean))
-        values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
-        self.legs[number] = _Leg(j, height, 0, place_n, 0.0)
+        leg = _Leg(self.variables, float(place_n[2]))
+        graph.add(leg_prior(leg.variable, mark, leg.height_m, self.lean))
+        values.insert(L(leg.variable), np.array([place_n[0], place_n[1], 0.0, 0.0]))
+        self.legs[number] = leg
         self.variables += 1
-        return self.legs[number]
+        return leg
 
 
-def _into(pose: Array, place_n: Array) -> Array:
-    """A place (3,) of n in the frame b of a pose (4, 4)."""
-    return np.asarray(pose[:3, :3].T @ (place_n - pose[:3, 3]))
+class _Poses:
+    """Estimates of poses, or where they are linearized, each asked for once."""
+
+    def __init__(self, estimates: Estimates, linearized: bool) -> None:
+        self.estimates, self.linearized = estimates, linearized
+        self.known: dict[int, tuple[Array, Array]] = {}
+
+    def at(self, i: int) -> tuple[Array, Array]:
+        """Rotation (3, 3) and position (3,) at keyframe i."""
+        if i not in self.known:
+            pose = self.estimates.theta.atPose3(X(i)).matrix() if self.linearized else self.estimates.pose(i)
+            self.known[i] = pose[:3, :3], pose[:3, 3]
+        return self.known[i]
+
+    def place(self, leg: _Leg) -> Array:
+        """Where a leg was last seen, (3,) in n."""
+        rotation, pos = self.at(leg.keyframe)
+        return np.asarray(pos + rotation @ leg.place_b)
