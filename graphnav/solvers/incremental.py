@@ -23,7 +23,7 @@ from graphnav.legs import uses_legs
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.solvers.absolute import predicted_factor
-from graphnav.solvers.incremental_legs import LegFeed
+from graphnav.solvers.incremental_legs import LegFeed, without_legs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,7 +40,8 @@ class IncrementalResult:
     Attributes
     ----------
     causal : (N) states, each estimated from the measurements up to its own keyframe.
-    values : smoothed estimates after the last keyframe, exact to the relinearization thresholds.
+    values : smoothed estimates after the last keyframe, exact to the relinearization thresholds; without the legs,
+        which are others than in the whole graph.
     predicted : the papers' closed-path priors that were made on the way; none with relative closed-path factors.
     relinearized : variables relinearized over the whole run.
     reeliminated : (U,) variables eliminated anew in every update.
@@ -238,6 +239,8 @@ def solve(
         if progress is not None and (i % 50 == 0 or i == count - 1):
             progress(i + 1, count)
     final = session.isam.calculateEstimate()
+    if session.legs is not None:
+        final = without_legs(final)
     return IncrementalResult(
         causal, final, session.predicted, session.relinearized, np.array(session.reeliminated), np.array(seconds)
     )

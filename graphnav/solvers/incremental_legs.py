@@ -15,9 +15,10 @@ import numpy as np
 
 from factors.increments import npt_int
 from factors.inertial import predict
+from factors.noise import diagonal
 from factors.so3 import Array, to_quaternion
 from graphnav.leg_means import stepped, velocity_variance
-from graphnav.leg_priors import calibration_prior, leg_prior
+from graphnav.leg_priors import calibration_prior, leg_prior, lidar_sigmas
 from graphnav.legs import LegReadings, Windows, of_window
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import D, L, Problem, X
@@ -29,6 +30,12 @@ if TYPE_CHECKING:
 #: A leg whose estimate has moved this far, m, from where it is linearized is a new one from then on: with poses that
 #: are linearized at the new estimate its readings would be linearized at places that nothing is at.
 _STALE_M = 0.1
+#: Readings of one calibration or one leg variable: at every update iSAM2 goes through all factors of every variable
+#: that it eliminates anew, and the calibration is always among them.
+_READINGS = 500
+#: From one calibration variable to the next the calibration stays the same, to this share of its declared sigma; and no
+#: closer than this, which rounding would not survive.
+_SAME, _SAME_LEAST = 1e-4, 1e-8
 #: Windows in a row in which a leg may be elsewhere before it counts as moved.
 _MISSES = 2
 
@@ -37,6 +44,9 @@ class Estimates(Protocol):
     """What iSAM2 knows at the moment."""
 
     theta: gtsam.Values
+
+    def step(self, key: int) -> Array:
+        """The solution for a variable relative to its linearization point."""
 
     def pose(self, i: int) -> Array:
         """Pose (4, 4) at keyframe i."""
@@ -50,7 +60,7 @@ class _Leg:
     ----------
     variable : j of ``L(j)``; height_m : its h0.
     keyframe, place_b, sigma_m : where it was last seen, in b at that keyframe; misses : windows since in which the
-        number was seen elsewhere.
+        number was seen elsewhere; count : readings fed.
     """
 
     variable: int
@@ -59,6 +69,7 @@ class _Leg:
     place_b: Array = field(default_factory=lambda: np.zeros(3))
     sigma_m: float = 0.0
     misses: int = 0
+    count: int = 0
 
 
 class LegFeed:
@@ -66,6 +77,7 @@ class LegFeed:
 
     Attributes
     ----------
+    epoch : of the calibration, e of ``D(e)``; None before the first window.
     variables, readings : legs and readings fed so far; refused : readings left out, since they lay elsewhere than
         their leg.
     """
@@ -79,6 +91,8 @@ class LegFeed:
         self.lean = float(np.tan(np.radians(problem.config.lidar.lean_sigma_deg)))
         self.surveyed = {mark.feature: mark for mark in log.lidar.landmark}
         self.legs: dict[int, _Leg] = {}
+        self.epoch: int | None = None
+        self.since = 0
         self.in_view_since: dict[int, int] = {}
         self.variables = self.readings = self.refused = 0
 
@@ -96,9 +110,7 @@ class LegFeed:
     def _feed_window(
         self, w: int, estimates: Estimates, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
     ) -> None:
-        if not (estimates.theta.exists(D(0)) or values.exists(D(0))):
-            values.insert(D(0), np.zeros(8))
-            graph.add(calibration_prior(self.lidar))
+        self._calibrate(estimates, graph, values)
         centre, readings = int(self.windows.centre[w]), self._condensed(w, estimates)
         pose, linearized = _Poses(estimates, False), _Poses(estimates, True)
         use, legs = [], []
@@ -113,17 +125,32 @@ class LegFeed:
                         self.refused += 1
                         continue
                     leg = None
-                elif np.linalg.norm(before_n - linearized.place(leg)) > _STALE_M:
+                elif leg.count >= _READINGS or np.linalg.norm(before_n - linearized.place(leg)) > _STALE_M:
                     leg = None
             if leg is None:
                 leg = self._new(number, place_n, graph, values)
             rotation, pos = pose.at(centre)
             leg.keyframe, leg.place_b, leg.sigma_m, leg.misses = centre, rotation.T @ (place_n - pos), sigma_m, 0
+            leg.count += 1
             use.append(k)
             legs.append(leg)
         self.readings += len(use)
         for factor in self._factors(readings, use, legs, centre):
             graph.add(factor)
+
+    def _calibrate(self, estimates: Estimates, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        """The scanner's calibration, and after many readings another variable for it that is tied to the one before."""
+        import gtsam
+
+        if self.epoch is None:
+            self.epoch, self.since = 0, 0
+            values.insert(D(0), np.zeros(8))
+            graph.add(calibration_prior(self.lidar))
+        elif self.readings - self.since >= _READINGS and estimates.theta.exists(D(self.epoch)):
+            sigmas = np.maximum(_SAME * lidar_sigmas(self.lidar), _SAME_LEAST)
+            values.insert(D(self.epoch + 1), estimates.theta.atVector(D(self.epoch)) + estimates.step(D(self.epoch)))
+            graph.add(gtsam.BetweenFactorVector(D(self.epoch), D(self.epoch + 1), np.zeros(8), diagonal(sigmas)))
+            self.epoch, self.since = self.epoch + 1, self.readings
 
     def _factors(
         self, readings: LegReadings, use: list[int], legs: list[_Leg], keyframe: int
@@ -134,6 +161,7 @@ class LegFeed:
         family = replace(
             readings.only(np.array(use)).family(self.lidar),
             pose_key=np.full(len(use), X(keyframe)),
+            calibration_key=np.full(len(use), D(self.epoch or 0)),
             leg_key=np.array([L(leg.variable) for leg in legs]),
             height_m=np.array([leg.height_m for leg in legs]),
         )
@@ -188,6 +216,20 @@ class LegFeed:
         self.legs[number] = leg
         self.variables += 1
         return leg
+
+
+def without_legs(values: gtsam.Values) -> gtsam.Values:
+    """Estimates for the whole graph, which has other legs, and one calibration: the last one found."""
+    import gtsam
+
+    found = gtsam.Values(values)
+    for key in values.keys():
+        if key >> 56 == ord("l"):
+            found.erase(key)
+        elif key >> 56 == ord("d") and key != D(0):
+            found.update(D(0), values.atVector(key))
+            found.erase(key)
+    return found
 
 
 class _Poses:
