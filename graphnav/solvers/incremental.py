@@ -40,8 +40,8 @@ class IncrementalResult:
     Attributes
     ----------
     causal : (N) states, each estimated from the measurements up to its own keyframe.
-    values : smoothed estimates after the last keyframe, exact to the relinearization thresholds; without the legs,
-        which are others than in the whole graph.
+    values : smoothed estimates after the last keyframe, exact to the relinearization thresholds; without the legs
+        and the LiDAR's calibration, which are others than in the whole graph.
     predicted : the papers' closed-path priors that were made on the way; none with relative closed-path factors.
     relinearized : variables relinearized over the whole run.
     reeliminated : (U,) variables eliminated anew in every update.

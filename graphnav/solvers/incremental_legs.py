@@ -219,15 +219,12 @@ class LegFeed:
 
 
 def without_legs(values: gtsam.Values) -> gtsam.Values:
-    """Estimates for the whole graph, which has other legs, and one calibration: the last one found."""
+    """Estimates without legs and LiDAR calibration, which are others in the whole graph."""
     import gtsam
 
     found = gtsam.Values(values)
     for key in values.keys():
-        if key >> 56 == ord("l"):
-            found.erase(key)
-        elif key >> 56 == ord("d") and key != D(0):
-            found.update(D(0), values.atVector(key))
+        if key >> 56 in (ord("l"), ord("d")):
             found.erase(key)
     return found
 
