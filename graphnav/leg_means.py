@@ -138,7 +138,7 @@ def split(leg: npt_int, t_s: Array, place: Array, sigma_m: Array) -> tuple[npt_i
     return found, before
 
 
-def stepped(before_n: Array, after_n: Array, before_sigma_m: Array, after_sigma_m: Array) -> npt_bool:
+def stepped(before_n: Array, after_n: Array, before_sigma_m: Array | float, after_sigma_m: Array | float) -> npt_bool:
     """Whether a leg stands elsewhere (...,) than seconds before: places (..., 3) in n and their sigmas (...,), m."""
     step = np.hypot(*np.moveaxis(after_n - before_n, -1, 0)[:2])
     return np.asarray(step > _STEP_M + 5 * np.hypot(after_sigma_m, before_sigma_m))
