@@ -12,7 +12,8 @@ The calibration variable is the 8-vector ``[dK, db, a3, a2 - 1, a1, delta]``: ra
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -309,3 +310,53 @@ class LegFamily:
             )  # fmt: skip
             for x, by_x, leg, by_l, d, by_d, b in zip(*parts, strict=True):
                 linear.push_back(gtsam.JacobianFactor(x, by_x, leg, by_l, d, by_d, b, unit))
+
+    def only(self, rows: npt_int) -> LegFamily:
+        """Some of the readings."""
+        of_reading = [f.name for f in fields(self) if f.name not in ("rotation_bs", "lever_arm_b", "loss")]
+        return replace(self, **{name: getattr(self, name)[rows] for name in of_reading})
+
+    def factors(self) -> list[gtsam.CustomFactor]:
+        """One by one, whitened, for an incremental solver; the loss plays no part in them.
+
+        They are evaluated together, at the first that is asked for at new values: those must hold the variables of all.
+        """
+        import gtsam
+
+        shared = _Shared(self)
+        keys = np.column_stack([self.pose_key, self.leg_key, self.calibration_key]).tolist()
+        return [gtsam.CustomFactor(_unit(2), key, partial(shared.error, k, *key)) for k, key in enumerate(keys)]
+
+
+class _Shared:
+    """Residuals of a few readings at the values that were last asked for."""
+
+    def __init__(self, family: LegFamily) -> None:
+        self.family = family
+        self.at: list[tuple[Array, Array, Array]] = []
+        self.found: tuple[Array, Array, Array, Array] | None = None
+
+    def error(
+        self,
+        k: int,
+        pose_key: int,
+        leg_key: int,
+        calibration_key: int,
+        factor: gtsam.CustomFactor,
+        values: gtsam.Values,
+        jacobians: list[Array] | None,
+    ) -> Array:
+        """Whitened error (2,) of reading k, and its Jacobians."""
+        at = self._inputs(values, pose_key, leg_key, calibration_key)
+        if self.found is None or any((a != b).any() for a, b in zip(at, self.at[k], strict=True)):
+            keys = (self.family.pose_key, self.family.leg_key, self.family.calibration_key)
+            self.at = [self._inputs(values, *key) for key in zip(*(each.tolist() for each in keys), strict=True)]
+            self.found = self.family.residuals(values)
+        if jacobians is not None:
+            for row, jacobian in enumerate(self.found[1:]):
+                jacobians[row] = jacobian[k]
+        return np.asarray(self.found[0][k])
+
+    @staticmethod
+    def _inputs(values: gtsam.Values, pose_key: int, leg_key: int, calibration_key: int) -> tuple[Array, Array, Array]:
+        return values.atPose3(pose_key).matrix(), values.atVector(leg_key), values.atVector(calibration_key)

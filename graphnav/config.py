@@ -97,6 +97,9 @@ class Isam2Config(_Section):
     threshold_mounting_rad: float = Field(0.001, gt=0)
     threshold_accel_bias_m_s2: float = Field(0.05, gt=0)
     threshold_gyro_bias_rad_s: float = Field(1e-3, gt=0)
+    threshold_lean: float = Field(0.03, gt=0, description="lean of a leg, m per m")
+    legs_followed: int = Field(4, ge=1, description="legs followed at a time, until the batch steps use all")
+    leg_gap_s: float = Field(30.0, ge=0, description="one out of view for longer is new, until the batch steps")
 
 
 class LidarConfig(_Section):

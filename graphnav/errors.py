@@ -10,6 +10,8 @@ _VARIABLES = {
     "v": ("the velocity of keyframe", "[initial], the IMU and the odometer"),
     "b": ("the IMU bias of epoch", "the bias sigmas in [imu]"),
     "c": ("the odometer calibration of epoch", "scale_sigma and mounting_sigma_deg in [odometer]"),
+    "l": ("the place of leg", "lidar_points"),
+    "d": ("the LiDAR calibration of epoch", "the sigmas in [lidar]"),
     "k": ("the creep after cycle", "creep_sigma_m in [face]"),
 }
 
@@ -68,7 +70,7 @@ class SolveError(GraphnavError):
     @classmethod
     def singular(cls, error: Exception) -> SolveError:
         """GTSAM's report of an indeterminate system in the user's words: which variable, and what determines it."""
-        found = re.search(r"\b([xvbck])(\d+)\b|\b(\d{16,20})\b", str(error))
+        found = re.search(r"\b([xvbcdkl])(\d+)\b|\b(\d{16,20})\b", str(error))
         if found is None:
             return cls(f"the problem is singular: {str(error).strip().splitlines()[0]}")
         if found[1] is None:

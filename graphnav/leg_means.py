@@ -127,9 +127,8 @@ def split(leg: npt_int, t_s: Array, place: Array, sigma_m: Array) -> tuple[npt_i
     leg (K,) with new numbers from the largest on, and what each new one was before.
     """
     order = np.lexsort((t_s, leg))
-    step = np.hypot(*np.diff(place[order, :2], axis=0).T)
     same = (np.diff(leg[order]) == 0) & (np.diff(t_s[order]) < _SOON_S)
-    moved = same & (step > _STEP_M + 5 * np.hypot(sigma_m[order][1:], sigma_m[order][:-1]))
+    moved = same & stepped(place[order][:-1], place[order][1:], sigma_m[order][:-1], sigma_m[order][1:])
     if not moved.any():
         return leg, np.zeros(0, np.int64)
     times = np.concatenate([[0], np.cumsum(moved)])
@@ -140,6 +139,12 @@ def split(leg: npt_int, t_s: Array, place: Array, sigma_m: Array) -> tuple[npt_i
     number = leg.max() + times
     found[order] = np.where(since_first > 0, number, leg[order])
     return found, before
+
+
+def stepped(before_n: Array, after_n: Array, before_sigma_m: Array | float, after_sigma_m: Array | float) -> npt_bool:
+    """Whether a leg stands elsewhere (...,) than seconds before: places (..., 3) in n and their sigmas (...,), m."""
+    step = np.hypot(*np.moveaxis(after_n - before_n, -1, 0)[:2])
+    return np.asarray(step > _STEP_M + 5 * np.hypot(after_sigma_m, before_sigma_m))
 
 
 def spread(
@@ -179,7 +184,15 @@ def _left(level: Array) -> Array:
     return np.stack([-level[:, 1], level[:, 0]], axis=1)
 
 
-def together(log: SensorLog, config: LidarConfig, groups: Groups, since_s: Array, at: npt_int, range_m: Array) -> Array:
+def together(
+    log: SensorLog,
+    config: LidarConfig,
+    groups: Groups,
+    since_s: Array,
+    at: npt_int,
+    range_m: Array,
+    velocity_m2_s2: float | None = None,
+) -> Array:
     """Error (G, 2) of carrying detections to their mean time and averaging there, m and rad.
 
     Between keyframes the path has the accelerometer's short-term motion, and an error of velocity that lasts longer
@@ -193,6 +206,7 @@ def together(log: SensorLog, config: LidarConfig, groups: Groups, since_s: Array
     Parameters
     ----------
     since_s : (M,) time of each detection after its keyframe; at : (G,) keyframe; range_m : (G,).
+    velocity_m2_s2 : `velocity_variance` of the log where it is known already; it reads whole tables.
     """
     if log.imu is None or config.together_m is not None:
         error_m = np.full(len(at), _TOGETHER_M if config.together_m is None else config.together_m)
@@ -202,19 +216,20 @@ def together(log: SensorLog, config: LidarConfig, groups: Groups, since_s: Array
     after = groups.mean((since_s > 0).astype(float))
     mean_s, away_s = groups.mean(since_s), groups.mean(np.abs(since_s))
     common = np.bincount(at)[at] * 2 * (after**2 + (1 - after) ** 2)
-    lasting = velocity_variance(log, accel) * mean_s**2
+    lasting = (velocity_variance(log) if velocity_m2_s2 is None else velocity_m2_s2) * mean_s**2
     error_m = np.sqrt(lasting + common * accel**2 * away_s**3 / 5)
     return np.column_stack([error_m, np.hypot(error_m / range_m, gyro * np.sqrt(common * away_s / 3))])
 
 
-def velocity_variance(log: SensorLog, accel: float) -> float:
+def velocity_variance(log: SensorLog) -> float:
     """Variance of the path's velocity, (m/s)^2; without an odometer, what ranges to legs leave of it.
 
     Steady state of a filter of integrated acceleration noise q: ``q r`` with speeds of noise r (m per root second),
     ``sqrt(2) q^1.5 p^0.5`` with positions of noise p (m root second).
     """
-    lidar, points, odometer = log.lidar, log.lidar_points, log.odometer
-    assert lidar is not None and points is not None
+    lidar, points, odometer, imu = log.lidar, log.lidar_points, log.odometer, log.imu
+    assert lidar is not None and points is not None and imu is not None
+    accel = imu.accel_random_walk_mg_sqrt_hz * M_S2_PER_MG
     if odometer is not None and len(odometer) > 1:
         step_s = float(np.median(np.diff(odometer.t_s)))
         return float(accel * np.hypot(odometer.slip_sigma_m_s, odometer.sigma_m_s * np.sqrt(step_s)))

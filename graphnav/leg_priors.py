@@ -36,17 +36,29 @@ def leg_priors(lidar: Lidar, feature: npt_int, height_m: Array, lean_sigma: floa
     height_m : (J,) the height h0 of each.
     lean_sigma : sigma of the lean to east and to north, m per m.
     """
-    import gtsam
-
     surveyed = {mark.feature: mark for mark in lidar.landmark}
-    found: list[gtsam.NonlinearFactor] = [gtsam.PriorFactorVector(D(0), np.zeros(8), diagonal(lidar_sigmas(lidar)))]
-    anywhere = np.zeros(4), diagonal([_ANYWHERE_M, _ANYWHERE_M, lean_sigma, lean_sigma])
+    found = [calibration_prior(lidar)]
     for j, (number, height) in enumerate(zip(feature.tolist(), height_m.tolist(), strict=True)):
         # one that moved is no longer where it was surveyed
-        mark = surveyed.pop(number, None)
-        prior = anywhere if mark is None else _surveyed(mark, height, lean_sigma)
-        found.append(gtsam.PriorFactorVector(L(j), *prior))
+        found.append(leg_prior(j, surveyed.pop(number, None), height, lean_sigma))
     return found
+
+
+def calibration_prior(lidar: Lidar) -> gtsam.NonlinearFactor:
+    """The scanner's calibration as declared."""
+    import gtsam
+
+    return gtsam.PriorFactorVector(D(0), np.zeros(8), diagonal(lidar_sigmas(lidar)))
+
+
+def leg_prior(j: int, mark: Landmark | None, height_m: float, lean_sigma: float) -> gtsam.NonlinearFactor:
+    """The leg variable ``L(j)``: surveyed, or anywhere; its lean by `lean_sigma`, m per m, to east and to north."""
+    import gtsam
+
+    if mark is not None:
+        return gtsam.PriorFactorVector(L(j), *_surveyed(mark, height_m, lean_sigma))
+    anywhere = diagonal([_ANYWHERE_M, _ANYWHERE_M, lean_sigma, lean_sigma])
+    return gtsam.PriorFactorVector(L(j), np.zeros(4), anywhere)
 
 
 def _surveyed(mark: Landmark, height_m: float, lean_sigma: float) -> tuple[Array, gtsam.noiseModel.Base]:

@@ -132,8 +132,66 @@ def gathered(log: SensorLog, config: Config, way: Trajectory, centre: npt_int) -
     return LegReadings(**found, apart=int(last - first - columns[2].sum()))
 
 
+@dataclass(frozen=True)
+class Windows:
+    """The windows in which `condense` brings detections together, one after the other.
+
+    Attributes
+    ----------
+    centre : (W,) keyframe of each, ascending; first, last : (W,) keyframes between which its detections lie.
+    row : (W + 1,) window w holds the rows ``row[w]`` to ``row[w + 1]`` of the table.
+    """
+
+    centre: npt_int
+    first: npt_int
+    last: npt_int
+    row: npt_int
+
+    @classmethod
+    def of(cls, problem: Problem) -> Windows:
+        """Those that have detections, of the span of the keyframes."""
+        points, keyframe_s = problem.log.lidar_points, problem.keyframe_s
+        assert points is not None
+        lo, hi = np.searchsorted(points.t_s, keyframe_s[[0, -1]] + [-_SAME_S, _SAME_S])
+        centre = _centres(keyframe_s, _window_s(problem))
+        which, count = np.unique(_nearest(keyframe_s[centre], points.t_s[lo:hi]), return_counts=True)
+        row, centre = lo + np.concatenate([[0], np.cumsum(count)]), centre[which]
+        first = np.searchsorted(keyframe_s, points.t_s[row[:-1]] + _SAME_S) - 1
+        last = np.searchsorted(keyframe_s, points.t_s[row[1:] - 1] - _SAME_S)
+        # at least one interval, whose motion gives a velocity
+        first = np.clip(np.minimum(first, centre), 0, max(len(keyframe_s) - 2, 0))
+        return cls(centre, first, np.maximum(np.maximum(last, centre), first + 1), row)
+
+
+def of_window(
+    log: SensorLog, config: Config, way: Trajectory, rows: npt_int, centre: int, velocity_m2_s2: float
+) -> LegReadings:
+    """Readings of one window alone: its legs in order of their numbers, `place_n` where each was seen.
+
+    Parameters
+    ----------
+    way : its keyframes; centre : the one at which it is read, an index into `way`.
+    rows : of the table of detections; velocity_m2_s2 : see `graphnav.leg_means.velocity_variance`.
+    """
+    points = log.lidar_points
+    assert points is not None
+    names = np.unique(points.feature[rows])
+    columns = list(_of_block(log, config, way, rows, np.full(len(rows), centre), names, velocity_m2_s2))
+    place, leg = columns.pop(), columns[1]
+    columns[1] = np.arange(len(leg))
+    names_of = [f.name for f in fields(LegReadings)]
+    found = dict(zip(names_of, [*columns, names[leg], place], strict=False))
+    return LegReadings(**found, apart=int(len(rows) - columns[2].sum()))
+
+
 def _of_block(
-    log: SensorLog, config: Config, way: Trajectory, rows: npt_int, keyframe: npt_int, names: npt_int
+    log: SensorLog,
+    config: Config,
+    way: Trajectory,
+    rows: npt_int,
+    keyframe: npt_int,
+    names: npt_int,
+    velocity_m2_s2: float | None = None,
 ) -> tuple[Any, ...]:
     """The readings of some rows of the table, as in `LegReadings`, and the mean places in n.
 
@@ -150,7 +208,7 @@ def _of_block(
     place, ray = on_the_ground(path, t_s, ranges, angles, lidar)
     wrong = apart(groups, place, np.hypot(lidar.range_sigma_m, ranges * np.radians(lidar.angle_sigma_deg)))
     if wrong.any():
-        return _of_block(log, config, way, rows[~wrong], keyframe[~wrong], names)
+        return _of_block(log, config, way, rows[~wrong], keyframe[~wrong], names, velocity_m2_s2)
     mean, row = groups.mean(place), np.searchsorted(path.t_s, mean_s)
     rotation, pos = path.rotation_nb[row], path.pos_n[row]
     rotation_bs, to_b = from_quaternion(lidar.T_bs_quat_wxyz), so3.transpose(from_quaternion(way.quat_nb[at]))
@@ -162,7 +220,7 @@ def _of_block(
     return (
         at, which, groups.count, to_b @ rotation, pos - way.pos_n[at],
         range_m, angle_rad, off, spread(groups, ray, ranges, angles, mean_ray, range_m, angle_rad),
-        np.hypot(own, together(log, config.lidar, groups, since_s, at, range_m)), mean,
+        np.hypot(own, together(log, config.lidar, groups, since_s, at, range_m, velocity_m2_s2)), mean,
     )  # fmt: skip
 
 

@@ -86,7 +86,9 @@ def solve_isam2(problem: Problem, stages: Stages) -> Solved:
     with stages.stage("solve") as tick:
         passed = incremental.solve(problem, data, factors, start, problem.config.isam2, tick)
         del factors
-    solved = _solve_rounds(problem, stages, data, passed.values, passed.predicted)
+    # legs are condensed along the same path as in batch: where it is another one, so is the result, by up to a sigma
+    values = _without_legs(problem, stages, data, passed.values) if uses_legs(problem) else passed.values
+    solved = _solve_rounds(problem, stages, data, values, passed.predicted)
     solved.causal = passed.causal
     return solved
 

@@ -172,3 +172,41 @@ def test_random_attitudes_are_not_special() -> None:
         rotation, pos, mark, np.zeros(8), np.array(3.0), np.array(-1.0), np.eye(3), np.zeros(3)
     )
     assert np.abs(error).max() < 1e-12
+
+
+def family(rng: np.random.Generator, count: int = 3) -> tuple[landmark.LegFamily, gtsam.Values]:
+    """Readings of different legs at one pose, each taken a known motion away from it."""
+    rotation, pos = machine(rng)
+    rotation_bs, lever = mounting(rng)
+    values = gtsam.Values()
+    values.insert(0, gtsam.Pose3(gtsam.Rot3(rotation), pos))
+    values.insert(100, systematic(rng))
+    for k in range(count):
+        values.insert(1 + k, np.r_[pos[:2] + rng.uniform(2, 5, 2), 0.1, 0.2])
+    readings = landmark.LegFamily(
+        np.zeros(count, np.int64), 1 + np.arange(count), np.full(count, 100), so3.exp(rng.normal(0, 0.05, (count, 3))),
+        rng.normal(0, 0.1, (count, 3)), rng.uniform(3, 6, count), rng.uniform(-1, 1, count), np.full(count, pos[2]),
+        rng.normal(0, 0.05, count), rng.normal(0, 0.01, (count, 2, 5)), rng.uniform(0.01, 0.1, (count, 2)),
+        rotation_bs, lever,
+    )  # fmt: skip
+    return readings, values
+
+
+def test_readings_one_by_one_are_those_of_the_family() -> None:
+    """Also after one of the variables has changed, when what was evaluated together no longer holds."""
+    rng = np.random.default_rng(RNG_SEED)
+    readings, values = family(rng)
+    factors = readings.factors()
+    for changed in (None, 2, 100, 0):
+        if changed == 0:
+            values.update(0, values.atPose3(0).retract(rng.normal(0, 0.1, 6)))
+        elif changed is not None:
+            values.update(changed, values.atVector(changed) + 0.01)
+        expected, *_ = readings.residuals(values)
+        for k, factor in enumerate(factors):
+            assert list(factor.keys()) == [0, 1 + k, 100]
+            np.testing.assert_allclose(factor.unwhitenedError(values), expected[k], atol=1e-13)
+            jacobian, right = analytic(factor, values)
+            np.testing.assert_allclose(right, -expected[k], atol=1e-13)
+            # sigmas of a hundredth make the Jacobians a hundred times larger, and their differences less exact
+            np.testing.assert_allclose(jacobian, factor_jacobian(factor, values), atol=2e-5)

@@ -92,7 +92,7 @@ def test_averages_of_detections_know_the_scanners_errors() -> None:
 
 
 def test_isam2_ends_where_batch_does() -> None:
-    """But for where the detections were brought together: at dead reckoning, or at iSAM2's estimate."""
+    """But for where the rough path stopped along which the detections were brought together."""
     apart = run(0, True, "isam2").trajectory.pos_n - run(0).trajectory.pos_n
     sigma = np.sqrt(np.diagonal(run(0).trajectory.cov, axis1=1, axis2=2)[:, 3:6])
     assert (np.abs(apart) / sigma).max() < 0.3

@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.increments import npt_int
 from factors.inertial import predict
 from factors.so3 import Array
 from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
 from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
+from graphnav.legs import uses_legs
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.solvers.absolute import predicted_factor
+from graphnav.solvers.incremental_legs import LegFeed, without_legs
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,9 +40,11 @@ class IncrementalResult:
     Attributes
     ----------
     causal : (N) states, each estimated from the measurements up to its own keyframe.
-    values : smoothed estimates after the last keyframe, exact to the relinearization thresholds.
+    values : smoothed estimates after the last keyframe, exact to the relinearization thresholds; without the legs
+        and the LiDAR's calibration, which are others than in the whole graph.
     predicted : the papers' closed-path priors that were made on the way; none with relative closed-path factors.
-    relinearized, reeliminated : variables treated over the whole run.
+    relinearized : variables relinearized over the whole run.
+    reeliminated : (U,) variables eliminated anew in every update.
     update_seconds : (U,) time of every update with its reading.
     """
 
@@ -47,7 +52,7 @@ class IncrementalResult:
     values: gtsam.Values
     predicted: list[gtsam.NonlinearFactor]
     relinearized: int
-    reeliminated: int
+    reeliminated: npt_int
     update_seconds: Array
 
 
@@ -71,6 +76,8 @@ def parameters(config: Isam2Config) -> gtsam.ISAM2Params:
         ("b", [config.threshold_accel_bias_m_s2] * 3 + [config.threshold_gyro_bias_rad_s] * 3),
         ("c", [config.threshold_scale] + [config.threshold_mounting_rad] * 3),
         ("k", [config.threshold_position_m]),
+        ("l", [config.threshold_position_m] * 2 + [config.threshold_lean] * 2),
+        ("d", [config.threshold_scale, config.threshold_position_m, *[config.threshold_mounting_rad] * 6]),
     ):
         thresholds.insert((letter, np.array(values)))
     params.setRelinearizeThreshold(thresholds)
@@ -91,7 +98,8 @@ class _Session:
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self.creeping = set(creep_cycles(problem))
         self.predicted: list[gtsam.NonlinearFactor] = []
-        self.relinearized = self.reeliminated = 0
+        self.relinearized, self.reeliminated = 0, list[int]()
+        self.legs = LegFeed(problem, data) if uses_legs(problem) else None
 
     def step(self, key: int) -> Array:
         """The solution for one variable relative to its linearization point.
@@ -174,10 +182,12 @@ class _Session:
             raise SolveError.singular(error) from None
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self.relinearized += result.getVariablesRelinearized()
-        self.reeliminated += result.getVariablesReeliminated()
+        self.reeliminated.append(result.getVariablesReeliminated())
         pose = self.pose(i)
         self.rotation, self.pos = pose[:3, :3], pose[:3, 3]
         self.vel = self.theta.atVector(V(i)) + self.step(V(i))
+        if self.legs is not None:
+            self.legs.feed(self, i, self.pending, self.values)
 
 
 def solve(
@@ -229,6 +239,8 @@ def solve(
         if progress is not None and (i % 50 == 0 or i == count - 1):
             progress(i + 1, count)
     final = session.isam.calculateEstimate()
+    if session.legs is not None:
+        final = without_legs(final)
     return IncrementalResult(
-        causal, final, session.predicted, session.relinearized, session.reeliminated, np.array(seconds)
+        causal, final, session.predicted, session.relinearized, np.array(session.reeliminated), np.array(seconds)
     )
