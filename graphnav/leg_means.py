@@ -189,7 +189,8 @@ def together(
     config: LidarConfig,
     groups: Groups,
     since_s: Array,
-    at: npt_int,
+    off_s: Array,
+    window: npt_int,
     range_m: Array,
     velocity_m2_s2: float | None = None,
 ) -> Array:
@@ -198,26 +199,26 @@ def together(
     Between keyframes the path has the accelerometer's short-term motion, and an error of velocity that lasts longer
     than a group. With q the accelerometer's noise (m/s per root second) and r the odometer's (m per root second), the
     velocity of a filter on both has the variance ``q r``; a group whose mean time is off its keyframe's moves by that
-    error times the time. Detections spread evenly to both sides from -h to h, mean |t| = m = h / 2, keep
-    ``q^2 h^3 / 40 = q^2 m^3 / 5`` of the twice integrated noise, to one side twice that; and a gyro of noise g turns
-    them by ``g^2 m / 3``, or twice that. Integrated noise is common to the n legs at a keyframe: as independent errors
-    it would average out among them, so each is given n times its variance.
+    error times the time. Detections spread evenly about the mean time, from -h to h, mean |t| = m = h / 2, keep
+    ``q^2 h^3 / 40 = q^2 m^3 / 5`` of the twice integrated noise; a gyro of noise g turns them by ``g^2 m / 3``.
+    All this is common to the n legs of a window: as independent errors it would average out among them, so each is
+    given n times its variance.
 
     Parameters
     ----------
-    since_s : (M,) time of each detection after its keyframe; at : (G,) keyframe; range_m : (G,).
+    since_s : (M,) time of each detection after its group's mean time; off_s : (G,) of that after its keyframe.
+    window : (G,) what legs of one window have in common; range_m : (G,).
     velocity_m2_s2 : `velocity_variance` of the log where it is known already; it reads whole tables.
     """
     if log.imu is None or config.together_m is not None:
-        error_m = np.full(len(at), _TOGETHER_M if config.together_m is None else config.together_m)
+        error_m = np.full(len(window), _TOGETHER_M if config.together_m is None else config.together_m)
         return np.column_stack([error_m, error_m / range_m])
     accel = log.imu.accel_random_walk_mg_sqrt_hz * M_S2_PER_MG
     gyro = np.radians(log.imu.gyro_random_walk_deg_sqrt_h) / 60
-    after = groups.mean((since_s > 0).astype(float))
-    mean_s, away_s = groups.mean(since_s), groups.mean(np.abs(since_s))
-    common = np.bincount(at)[at] * 2 * (after**2 + (1 - after) ** 2)
-    lasting = (velocity_variance(log) if velocity_m2_s2 is None else velocity_m2_s2) * mean_s**2
-    error_m = np.sqrt(lasting + common * accel**2 * away_s**3 / 5)
+    away_s = groups.mean(np.abs(since_s))
+    common = np.bincount(window)[window]
+    lasting = (velocity_variance(log) if velocity_m2_s2 is None else velocity_m2_s2) * off_s**2
+    error_m = np.sqrt(common * (lasting + accel**2 * away_s**3 / 5))
     return np.column_stack([error_m, np.hypot(error_m / range_m, gyro * np.sqrt(common * away_s / 3))])
 
 

@@ -39,7 +39,8 @@ class LegReadings:
 
     Attributes
     ----------
-    keyframe : (K,) index; leg : (K,) index into `feature`; count : (K,) detections in each.
+    keyframe : (K,) index of the one nearest to the mean time; window : (K,) of that of its window.
+    leg : (K,) index into `feature`; count : (K,) detections in each.
     turn_b, shift_n : (K, 3, 3), (K, 3) from b at the keyframe to b at the mean time of the detections.
     range_m, angle_rad, off_plane_m : (K,); sigma : (K, 2) m and rad.
     spread : (K, 2, 5) what averaging made of the scanner's errors, see `graphnav.leg_means.spread`.
@@ -49,6 +50,7 @@ class LegReadings:
     """
 
     keyframe: npt_int
+    window: npt_int
     leg: npt_int
     count: npt_int
     turn_b: Array
@@ -120,16 +122,15 @@ def gathered(log: SensorLog, config: Config, way: Trajectory, centre: npt_int) -
         for lo, hi in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
     ]
     columns: list[Any] = [np.concatenate(column) for column in zip(*blocks, strict=True)]
-    at, first_leg, sigma, place = columns[0], columns[1], columns[-2], columns[-1]
-    columns.pop()
-    leg, before = split(first_leg, way.t_s[at], place, sigma[:, 0])
+    place, at, sigma = columns.pop(), columns[0], columns[-1]
+    leg, before = split(columns[2], way.t_s[at], place, sigma[:, 0])
     feature = np.concatenate([names, names[before]])
-    columns[1] = leg
+    columns[2] = leg
     seen = np.zeros(len(feature), np.int64)
     seen[leg[::-1]] = np.arange(len(leg))[::-1]
     names_of = [f.name for f in fields(LegReadings)]
     found = dict(zip(names_of, [*columns, feature, place[seen]], strict=False))
-    return LegReadings(**found, apart=int(last - first - columns[2].sum()))
+    return LegReadings(**found, apart=int(last - first - columns[3].sum()))
 
 
 @dataclass(frozen=True)
@@ -176,12 +177,12 @@ def of_window(
     points = log.lidar_points
     assert points is not None
     names = np.unique(points.feature[rows])
-    columns = list(_of_block(log, config, way, rows, np.full(len(rows), centre), names, velocity_m2_s2))
-    place, leg = columns.pop(), columns[1]
-    columns[1] = np.arange(len(leg))
+    columns = list(_of_block(log, config, way, rows, np.full(len(rows), centre), names, velocity_m2_s2, False))
+    place, leg = columns.pop(), columns[2]
+    columns[2] = np.arange(len(leg))
     names_of = [f.name for f in fields(LegReadings)]
     found = dict(zip(names_of, [*columns, names[leg], place], strict=False))
-    return LegReadings(**found, apart=int(len(rows) - columns[2].sum()))
+    return LegReadings(**found, apart=int(len(rows) - columns[3].sum()))
 
 
 def _of_block(
@@ -192,8 +193,13 @@ def _of_block(
     keyframe: npt_int,
     names: npt_int,
     velocity_m2_s2: float | None = None,
+    nearest: bool = True,
 ) -> tuple[Any, ...]:
     """The readings of some rows of the table, as in `LegReadings`, and the mean places in n.
+
+    Each is read at the keyframe nearest to its mean time, or (not `nearest`) at that of its window: what the path's
+    velocity has wrong would else act to one side for all legs that come into view, and to the other for those that
+    leave it, as a turn of the scanner does.
 
     Rows that lie apart from the others of their group are left out.
     """
@@ -201,14 +207,14 @@ def _of_block(
     assert lidar is not None and points is not None
     t_s, ranges, angles = points.t_s[rows], points.range_m[rows], points.angle_rad[rows]
     groups = Groups.of(keyframe * len(names) + np.searchsorted(names, points.feature[rows]))
-    at, which = groups.number // len(names), groups.number % len(names)
-    since_s = t_s - way.t_s[keyframe]
-    mean_s = way.t_s[at] + groups.mean(since_s)
+    window, which = groups.number // len(names), groups.number % len(names)
+    mean_s = way.t_s[window] + groups.mean(t_s - way.t_s[keyframe])
+    at = _nearest(way.t_s, mean_s) if nearest else window
     path = way.at(np.unique(np.concatenate([t_s, mean_s])))
     place, ray = on_the_ground(path, t_s, ranges, angles, lidar)
     wrong = apart(groups, place, np.hypot(lidar.range_sigma_m, ranges * np.radians(lidar.angle_sigma_deg)))
     if wrong.any():
-        return _of_block(log, config, way, rows[~wrong], keyframe[~wrong], names, velocity_m2_s2)
+        return _of_block(log, config, way, rows[~wrong], keyframe[~wrong], names, velocity_m2_s2, nearest)
     mean, row = groups.mean(place), np.searchsorted(path.t_s, mean_s)
     rotation, pos = path.rotation_nb[row], path.pos_n[row]
     rotation_bs, to_b = from_quaternion(lidar.T_bs_quat_wxyz), so3.transpose(from_quaternion(way.quat_nb[at]))
@@ -217,10 +223,13 @@ def _of_block(
     range_m, angle_rad, level = np.hypot(x, y), np.arctan2(-x, y), away_n[:, :2]
     mean_ray = level / np.hypot(level[:, 0], level[:, 1])[:, None]
     own = np.array([lidar.range_sigma_m, np.radians(lidar.angle_sigma_deg)]) / np.sqrt(groups.count)[:, None]
+    carried = together(
+        log, config.lidar, groups, t_s - mean_s[groups.of_row], mean_s - way.t_s[at], window, range_m, velocity_m2_s2
+    )
     return (
-        at, which, groups.count, to_b @ rotation, pos - way.pos_n[at],
+        at, window, which, groups.count, to_b @ rotation, pos - way.pos_n[at],
         range_m, angle_rad, off, spread(groups, ray, ranges, angles, mean_ray, range_m, angle_rad),
-        np.hypot(own, together(log, config.lidar, groups, since_s, at, range_m, velocity_m2_s2)), mean,
+        np.hypot(own, carried), mean,
     )  # fmt: skip
 
 
@@ -232,11 +241,17 @@ def _window_s(problem: Problem) -> float:
 
 
 def _centres(keyframe_s: Array, window_s: float) -> npt_int:
-    """Keyframes about `window_s` apart; the middle one of a record that is shorter."""
-    wanted = np.arange(keyframe_s[0] + window_s / 2, keyframe_s[-1], window_s)
-    if not len(wanted):
-        wanted = keyframe_s[[0, -1]].mean(keepdims=True)
-    return np.unique(_nearest(keyframe_s, wanted))
+    """Every so many keyframes, at most `window_s` apart; the middle one of a record that is shorter.
+
+    Counted in keyframes, which are evenly spaced for long stretches: the detections of a window then lie evenly to both
+    sides of its keyframe, and an error of velocity cancels.
+    """
+    if len(keyframe_s) < 2:
+        return np.zeros(1, np.int64)
+    apart = max(int(window_s / np.median(np.diff(keyframe_s)) + 1e-6), 1)
+    if apart >= len(keyframe_s):
+        return np.array([len(keyframe_s) // 2])
+    return np.arange(apart // 2, len(keyframe_s), apart)
 
 
 def _nearest(grid: Array, t_s: Array) -> npt_int:

@@ -119,7 +119,7 @@ def test_the_cost_of_an_update_does_not_grow() -> None:
         chosen = Config.from_dict({"isam2": isam2, "closed_path": {"form": "off"}})
         most[gap_s] = [int(part.max()) for part in np.array_split(passed(log(), chosen).reeliminated, 4)]
     assert max(most[30.0]) < 1.25 * most[30.0][0]
-    assert max(most[1e9]) > 2 * most[1e9][0]
+    assert max(most[1e9]) > 1.5 * most[1e9][0]
 
 
 # what goes wrong ----------------------------------------------------------------------------------------------

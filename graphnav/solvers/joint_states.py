@@ -100,7 +100,7 @@ def _causal(
     linear: gtsam.GaussianFactorGraph,
     groups: dict[int, tuple[int, ...]],
     chain: list[int] | None,
-    seen: dict[int, int],
+    seen: dict[tuple[int, ...], int],
     progress: Progress | None,
 ) -> dict[int, Array]:
     """Joint covariances from the graph cut off after each keyframe."""
@@ -144,17 +144,20 @@ def _first(so_far: gtsam.GaussianFactorGraph, chain: list[int]) -> list[int]:
     return [*sorted(known - tied), *(key for key in chain if key in tied)]
 
 
-def _seen(problem: Problem, legs: LegReadings) -> dict[int, int]:
-    """Keyframe from which on a reading is known, by the key of its pose, and a leg, by its own key.
+def _seen(problem: Problem, legs: LegReadings) -> dict[tuple[int, ...], int]:
+    """Keyframe from which on a reading is known, by the keys of its pose and leg, and a leg, by its own key.
 
     Detections go to the nearest window, so a window is over half way to the next.
     """
-    t_s, centre = problem.keyframe_s, np.unique(legs.keyframe)
+    t_s, centre = problem.keyframe_s, np.unique(legs.window)
     over_s = np.append((t_s[centre][1:] + t_s[centre][:-1]) / 2, t_s[-1])
     over = dict(zip(centre.tolist(), np.searchsorted(t_s, over_s).tolist(), strict=True))
-    found = {X(i): over[i] for i in over}
-    for leg, i in zip(legs.leg.tolist(), legs.keyframe.tolist(), strict=True):
-        found[L(leg)] = min(over[i], found.get(L(leg), over[i]))
+    found: dict[tuple[int, ...], int] = {}
+    for leg, i, window in zip(legs.leg.tolist(), legs.keyframe.tolist(), legs.window.tolist(), strict=True):
+        known, own = over[window], (L(leg),)
+        # two windows may be read at the keyframe between them
+        found[X(i), L(leg)] = max(known, found.get((X(i), L(leg)), 0))
+        found[own] = min(known, found.get(own, known))
     return found
 
 
@@ -164,20 +167,23 @@ def _state_keys(problem: Problem, i: int) -> tuple[int, ...]:
     return (*keys, C(int(problem.calibration_epoch[interval]))) if problem.has_calibration else keys
 
 
-def _needs(problem: Problem, keys: list[int], seen: dict[int, int]) -> int:
+def _needs(problem: Problem, keys: list[int], seen: dict[tuple[int, ...], int]) -> int:
     """The last keyframe that a factor on `keys` needs; an epoch begins with the interval that ends at it.
 
     Parameters
     ----------
     seen : from `_seen`; what is known of a leg never seen is never needed.
     """
+    legs = [key for key in keys if key >> 56 == ord("l")]
+    poses = [key for key in keys if key >> 56 == ord("x")]
+    if legs:
+        read: list[tuple[int, ...]] = [(pose, leg) for pose in poses for leg in legs]
+        read = read or [(leg,) for leg in legs]
+        return max(seen.get(key, len(problem.keyframe_s)) for key in read)
     needed = 0
-    of_leg = any(key >> 56 == ord("l") for key in keys)
     for key in keys:
         letter, index = chr(key >> 56), key & ((1 << 56) - 1)
-        if of_leg and letter in "xl":
-            needed = max(needed, seen.get(key, len(problem.keyframe_s)))
-        elif letter in "xv":
+        if letter in "xv":
             needed = max(needed, index)
         elif letter in "bc" and index:
             epochs = problem.bias_epoch if letter == "b" else problem.calibration_epoch
