@@ -21,7 +21,7 @@ from factors.so3 import Array, from_quaternion, to_quaternion
 from graphnav.config import Config
 from graphnav.leg_means import Groups, apart, npt_bool, on_the_ground, split, spread, together
 from graphnav.log import Lidar, SensorLog
-from graphnav.problem import D, L, Problem, X
+from graphnav.problem import D, L, Problem, V, X
 from graphnav.trajectory import ImuBridge, Trajectory
 
 if TYPE_CHECKING:
@@ -100,7 +100,8 @@ def condense(problem: Problem, values: gtsam.Values, gyro_bias_b: Array, accel_b
 
     poses = gtsam.utilities.extractPose3(gtsam.utilities.allPose3s(values))
     rotation, pos = poses[:, :9].reshape(-1, 3, 3), poses[:, 9:]
-    vel = np.gradient(pos, problem.keyframe_s, axis=0)
+    # the graph's own: the slope of its positions has their noise, and bends the path between keyframes to one side
+    vel = np.array([values.atVector(V(i)) for i in range(len(problem.keyframe_s))])
     bridge = ImuBridge(problem.imu.samples, gyro_bias_b, accel_bias_b, problem.gravity_m_s2, problem.earth_rate_n)
     way = Trajectory(problem.keyframe_s, pos, to_quaternion(rotation), vel, None, bridge)
     return gathered(problem.log, problem.config, way, _centres(problem.keyframe_s, _window_s(problem)))
