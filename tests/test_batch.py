@@ -288,6 +288,6 @@ def test_a_valley_with_next_to_no_slope_is_left() -> None:
             linear.add(held)
             return linear
 
-    found = batch.solve(Valley(), start, first=[], max_iterations=20)
+    found = batch.solve(Valley(), start, first=[X(1)], max_iterations=20)
     assert found.converged and len(found.iterations) == 5
     assert not batch.solve(Valley(), start, max_iterations=20).converged

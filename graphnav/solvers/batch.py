@@ -131,7 +131,7 @@ def solve(
             progress(len(iterations), max_iterations)
         if converged:
             break
-        converged = first is not None and flat == _FLAT_ITERATIONS
+        converged = bool(first) and flat == _FLAT_ITERATIONS
         if converged or len(iterations) == max_iterations:
             if exact:
                 tree, delta, _ = _step(linear, ordering, error, exact=first is None)
