@@ -124,7 +124,8 @@ def gathered(log: SensorLog, config: Config, way: Trajectory, centre: npt_int) -
     ]
     columns: list[Any] = [np.concatenate(column) for column in zip(*blocks, strict=True)]
     place, at, sigma = columns.pop(), columns[0], columns[-1]
-    leg, before = columns[2], np.zeros(0, np.int64)
+    leg: npt_int = columns[2]
+    before: npt_int = np.zeros(0, np.int64)
     if log.imu is not None:  # wheels alone are not good to millimetres over seconds
         leg, before = split(leg, way.t_s[at], place, sigma[:, 0])
     feature = np.concatenate([names, names[before]])
