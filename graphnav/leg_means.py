@@ -17,17 +17,14 @@ from graphnav.config import LidarConfig
 from graphnav.log import Lidar, SensorLog
 from graphnav.trajectory import Trajectory
 
-#: A leg that steps this far, m, between readings this close, s, has moved.
-_STEP_M, _SOON_S = 0.15, 30.0
-
 npt_bool = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
-
-#: Error of bringing detections together along a chain of relative poses, whose declared noise is for far longer, m.
-_TOGETHER_M = 2e-3
-
 
 #: Sigmas from the median of a group at which a detection does not belong to it.
 _APART = 5.7
+#: A leg that steps this far, m, between readings this close, s, has moved.
+_STEP_M, _SOON_S = 0.15, 30.0
+#: Error of bringing detections together along a chain of relative poses, whose declared noise is for far longer, m.
+_TOGETHER_M = 2e-3
 
 
 @dataclass(frozen=True)

@@ -109,8 +109,9 @@ def _solve_rounds(
     """
     config, lidar = problem.config.batch, problem.log.lidar
     history: list[batch.Iteration] = []
-    left_out, advances = None, None
+    advances: AdvanceFamily | None = None
     for round_ in range(config.bias_move_rounds):
+        left_out = None  # what an earlier round left out may agree along a better path
         with stages.stage("assemble"):
             readings = _leg_readings(problem, data, values)
             advances = None if readings is None else leg_advances(problem, readings, values)

@@ -133,15 +133,9 @@ def _state_last(so_far: gtsam.GaussianFactorGraph, i: int, keys: tuple[int, ...]
 
 
 def _first(so_far: gtsam.GaussianFactorGraph, chain: list[int]) -> list[int]:
-    """What to eliminate first: keys tied to nothing yet, which METIS does not survive, and the chain so far."""
-    known: set[int] = set()
-    tied: set[int] = set()
-    for f in range(so_far.size()):
-        keys = so_far.at(f).keys()
-        known.update(keys)
-        if len(keys) > 1:
-            tied.update(keys)
-    return [*sorted(known - tied), *(key for key in chain if key in tied)]
+    """The part of the chain that the graph so far has."""
+    known = set(so_far.keyVector())
+    return [key for key in chain if key in known]
 
 
 def _seen(problem: Problem, legs: LegReadings) -> dict[tuple[int, ...], int]:
