@@ -296,7 +296,11 @@ class UwbAnchor(Record):
 
 @dataclass(frozen=True, eq=False)
 class Uwb(Record):
-    """UWB ranges with their tags and anchors."""
+    """UWB ranges with their tags and anchors.
+
+    A range is the distance plus its anchor's constant, a first-order Markov process of its own, and white noise;
+    `rest_factor` times the latter two while the machine stands.
+    """
 
     SECTION: ClassVar[str] = "uwb"
     TABLE: ClassVar[str] = "uwb"
@@ -308,6 +312,9 @@ class Uwb(Record):
     rssi_db: Array | None = column("rssi_db", optional=True)
     sigma_m: float = param(0.1, positive=True)
     bias_sigma_m: float | None = param(None, positive=True)
+    markov_sigma_m: float | None = param(None, positive=True)
+    markov_time_s: float | None = param(None, positive=True)
+    rest_factor: float = param(1.0, positive=True)
     tag: tuple[UwbTag, ...] = param((), items=UwbTag)
     anchor: tuple[UwbAnchor, ...] = param((), items=UwbAnchor)
     time_offset_s: float = param(0.0)
@@ -315,15 +322,17 @@ class Uwb(Record):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, used, declared in (("tag", self.tag_id, self.tag), ("anchor", self.anchor_id, self.anchor)):
-            known = {item.id for item in declared}
-            for row, value in enumerate(used):
-                if value not in known:
-                    raise self.error(
-                        f'unknown {name} "{value}", log.toml declares {sorted(known)}',
-                        row=row,
-                        column=name,
-                        fix=f"add a [[uwb.{name}]] section for it",
-                    )
+            known = sorted({item.id for item in declared})
+            wrong = np.flatnonzero(~np.isin(used, known))
+            if len(wrong):
+                raise self.error(
+                    f'unknown {name} "{used[wrong[0]]}", log.toml declares {known}',
+                    row=int(wrong[0]),
+                    column=name,
+                    fix=f"add a [[uwb.{name}]] section for it",
+                )
+        if (self.markov_sigma_m is None) != (self.markov_time_s is None):
+            raise self.error("markov_sigma_m and markov_time_s belong together", fix="declare both, or neither")
 
 
 @dataclass(frozen=True, eq=False)
