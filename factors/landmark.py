@@ -248,8 +248,9 @@ class LegFamily:
         frame, as gyros measure it, and a displacement in n. In the body's frame it would tell the heading: where a
         path leads is known far better than where the machine points.
     range_m, angle_rad, height_m, off_plane_m : (K,); sigma : (K, 2) in m and rad.
-    spread : (K, 2, 5) added to the error per unit of the calibration's first five: a mean of detections is not
-        displaced by them quite as a detection at the mean would be.
+    spread : (K, 3, 7) added to the error, and to `off_plane_m` as measured, per unit of the calibration's first five
+        and per radian about the scanner's right and forward axes: a mean of detections is not displaced by them quite
+        as a detection at the mean would be. A turn about the plane's normal acts as a bias of the angle.
     rotation_bs, lever_arm_b : (3, 3) and (3,) declared mounting of the scanner.
     loss : sigmas from which on a reading counts ever less (Cauchy's loss, on range and angle together), or None.
     """
@@ -269,19 +270,30 @@ class LegFamily:
     lever_arm_b: Array
     loss: float | None = None
 
+    @property
+    def _acts(self) -> Array:
+        """(7, 8) what the calibration's numbers are in those of `spread`."""
+        found = np.eye(7, 8)
+        found[[5, 6, ANGLE_BIAS], MOUNTING] = self.rotation_bs.T
+        return found
+
     def residuals(self, values: gtsam.Values, rows: slice = slice(None)) -> tuple[Array, Array, Array, Array]:
         """`leg_residual` of some of the readings, whitened."""
         pose, turn = lookup.poses(values, self.pose_key[rows]), self.turn_b[rows]
         rotation, back = pose[:, :3, :3], so3.transpose(turn)
-        calibration, more = lookup.vectors(values, self.calibration_key[rows]), self.spread[rows]
+        calibration, more = lookup.vectors(values, self.calibration_key[rows]), self.spread[rows] @ self._acts
+        moved = np.einsum("kij,kj->ki", more, calibration)
         error, by_moved, by_leg, by_calibration = leg_residual(
             rotation @ turn, pose[:, :3, 3] + self.shift_n[rows],
             lookup.vectors(values, self.leg_key[rows]), calibration,
             self.range_m[rows], self.angle_rad[rows], self.height_m[rows],
-            self.rotation_bs, self.lever_arm_b, self.off_plane_m[rows],
+            self.rotation_bs, self.lever_arm_b, self.off_plane_m[rows] - moved[:, 2],
         )  # fmt: skip
-        error += np.einsum("kij,kj->ki", more, calibration[:, :5])
-        by_calibration[..., :5] += more
+        error += moved[:, :2]
+        # a plane that is cut higher is as a scanner that stands higher
+        axis_b = np.einsum("kij,j->ki", so3.exp(calibration[:, MOUNTING]), self.rotation_bs[:, 2])
+        by_off = np.einsum("kij,kj->ki", by_moved[..., 3:], axis_b)
+        by_calibration += more[:, :2] - by_off[..., None] * more[:, 2:]
         by_turn, by_shift = by_moved[..., :3] @ back, by_moved[..., 3:] @ back
         by_pose = np.concatenate([by_turn, by_shift], axis=-1)
         sigma = self.sigma[rows]

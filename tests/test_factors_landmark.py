@@ -186,7 +186,7 @@ def family(rng: np.random.Generator, count: int = 3) -> tuple[landmark.LegFamily
     readings = landmark.LegFamily(
         np.zeros(count, np.int64), 1 + np.arange(count), np.full(count, 100), so3.exp(rng.normal(0, 0.05, (count, 3))),
         rng.normal(0, 0.1, (count, 3)), rng.uniform(3, 6, count), rng.uniform(-1, 1, count), np.full(count, pos[2]),
-        rng.normal(0, 0.05, count), rng.normal(0, 0.01, (count, 2, 5)), rng.uniform(0.01, 0.1, (count, 2)),
+        rng.normal(0, 0.05, count), rng.normal(0, 0.01, (count, 3, 7)), rng.uniform(0.01, 0.1, (count, 2)),
         rotation_bs, lever,
     )  # fmt: skip
     return readings, values
