@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from factors import landmark, so3
+from factors import so3
 from factors.increments import npt_int
+from factors.legs import LegFamily
 from factors.so3 import Array, from_quaternion, to_quaternion
 from graphnav.config import Config
 from graphnav.leg_means import Groups, apart, npt_bool, on_the_ground, split, spread, together
@@ -74,9 +75,9 @@ class LegReadings:
         error, *_ = self.family(lidar).residuals(values)
         return np.asarray(np.hypot(error[:, 0], error[:, 1]))
 
-    def family(self, lidar: Lidar, loss: float | None = None) -> landmark.LegFamily:
-        """As factors, see `factors.landmark.LegFamily` for the loss."""
-        return landmark.LegFamily(
+    def family(self, lidar: Lidar, loss: float | None = None) -> LegFamily:
+        """As factors, see `factors.legs.LegFamily` for the loss."""
+        return LegFamily(
             X(0) + self.keyframe, L(0) + self.leg, np.full(len(self.leg), D(0)), self.turn_b, self.shift_n,
             self.range_m, self.angle_rad, self.place_n[self.leg, 2], self.off_plane_m, self.spread, self.sigma,
             from_quaternion(lidar.T_bs_quat_wxyz), lidar.T_bs_pos_m, loss,

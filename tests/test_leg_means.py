@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from factors.landmark import LegFamily
+from factors.legs import LegFamily
 from graphnav.config import Config
 from graphnav.legs import LegReadings, gathered
 from graphnav.log import Frames, Lidar, LidarPoints, SensorLog
