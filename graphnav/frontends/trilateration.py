@@ -81,13 +81,16 @@ def fix(anchors_n: Array, ranges_m: Array, sigma: Array | float, near_n: Array |
     return fixes(anchors_n, np.atleast_2d(ranges_m), sigma, near_n)[0]
 
 
-def fixes(anchors_n: Array, ranges_m: Array, sigma: Array | float, near_n: Array | None = None) -> Fix:
+def fixes(
+    anchors_n: Array, ranges_m: Array, sigma: Array | float, near_n: Array | None = None, *, nearest: bool = False
+) -> Fix:
     """Positions from many epochs of ranges at once.
 
     Parameters
     ----------
     anchors_n : (A, 3) m; ranges_m : (E, A) m, NaN where there is none.
     sigma : of a range, m; scalar, (A,) or (E, A). near_n : (3,) or (E, 3), as in `fix`.
+    nearest : whether the minimum nearest to `near_n` is taken, the better one or not.
 
     Raises
     ------
@@ -100,7 +103,7 @@ def fixes(anchors_n: Array, ranges_m: Array, sigma: Array | float, near_n: Array
     axes, spread = _principal_axes(anchors, there)
     _refuse(there.sum(axis=1), spread)
     minima = [_least_squares(start, anchors, ranges, weight) for start in _starts(anchors, ranges, there, axes, spread)]
-    return _chosen(minima, anchors, ranges, weight, near_n)
+    return _chosen(minima, anchors, ranges, weight, near_n, nearest)
 
 
 def usable(anchors_n: Array, there: Mask) -> Mask:
@@ -189,7 +192,12 @@ def _least_squares(pos: Array, anchors: Array, ranges: Array, weight: Array) -> 
 
 
 def _chosen(
-    minima: list[tuple[Array, Array, Mask]], anchors: Array, ranges: Array, weight: Array, near_n: Array | None
+    minima: list[tuple[Array, Array, Mask]],
+    anchors: Array,
+    ranges: Array,
+    weight: Array,
+    near_n: Array | None,
+    nearest: bool,
 ) -> Fix:
     """The better minimum of each epoch, or the nearer one where both are as good."""
     (first, cost_1, rest_1), (second, cost_2, rest_2) = minima
@@ -198,7 +206,7 @@ def _chosen(
     take_second = cost_2 < cost_1
     if near_n is not None:
         apart_1, apart_2 = (np.linalg.norm(pos - near_n, axis=1) for pos in (first, second))
-        take_second = np.where(alike, apart_2 < apart_1, take_second)
+        take_second = np.where(alike | nearest, apart_2 < apart_1, take_second)
     pos, mirror = np.where(take_second[:, None], second, first), np.where(take_second[:, None], first, second)
     error, direction = _residual(pos, anchors, ranges)
     there = weight > 0
