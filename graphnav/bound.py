@@ -36,7 +36,8 @@ from graphnav.preintegration import preintegrate
 from graphnav.problem import L, Problem, V, X
 from graphnav.smooth import posed
 from graphnav.solution import Solved, solve_batch
-from graphnav.solvers.batch import BatchResult, eliminate, elimination
+from graphnav.solvers.batch import BatchResult
+from graphnav.solvers.elimination import eliminate, elimination
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import closed_path, inertial, landmark, odometry, position, stationary
+from factors import closed_path, inertial, odometry, position, stationary
 from factors.advance import AdvanceFamily
+from factors.legs import LegFamily
 from factors.noise import diagonal
 from factors.so3 import from_quaternion
 from graphnav.leg_priors import leg_priors
@@ -40,7 +41,7 @@ class SmoothingGraph:
 
     native: gtsam.NonlinearFactorGraph
     displacements: odometry.DisplacementFamily | None
-    legs: landmark.LegFamily | None = None
+    legs: LegFamily | None = None
     advances: AdvanceFamily | None = None
     chain: list[int] | None = None
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from factors.increments import npt_int
 from factors.inertial import M_S2_PER_MG
-from factors.landmark import seen_leg
 from factors.so3 import Array, from_quaternion
 from graphnav.config import LidarConfig
 from graphnav.log import Lidar, SensorLog
@@ -68,19 +67,22 @@ class Groups:
 
 
 def on_the_ground(at: Trajectory, t_s: Array, range_m: Array, angle_rad: Array, lidar: Lidar) -> tuple[Array, Array]:
-    """Place (M, 3) of every detection in n, and the level direction (M, 2) in which it was seen.
+    """Place (M, 3) of every detection in n, and in n the three directions (M, 3, 3) in which the scanner's errors act.
+
+    Along the ray, in the scan plane to its left, and up from the plane.
 
     Parameters
     ----------
     at : the path at least at the times of the detections; t_s, range_m, angle_rad : (M,).
     """
     row = np.searchsorted(at.t_s, t_s)
-    rotation = at.rotation_nb
-    scanner = (at.pos_n + rotation @ lidar.T_bs_pos_m)[row]
-    rotation_bs = from_quaternion(lidar.T_bs_quat_wxyz)
-    place = seen_leg(rotation[row], at.pos_n[row], range_m, angle_rad, rotation_bs, lidar.T_bs_pos_m)
-    ray = place[:, :2] - scanner[:, :2]
-    return place, ray / np.hypot(ray[:, 0], ray[:, 1])[:, None]
+    to_n = at.rotation_nb @ from_quaternion(lidar.T_bs_quat_wxyz)
+    scanner = at.pos_n + at.rotation_nb @ lidar.T_bs_pos_m
+    sin, cos = np.sin(angle_rad), np.cos(angle_rad)
+    in_plane = np.stack([-sin, -cos, cos, -sin], axis=-1).reshape(-1, 2, 2)
+    directions = to_n[row]
+    directions[..., :2] = directions[..., :2] @ in_plane
+    return scanner[row] + range_m[:, None] * directions[..., 0], directions
 
 
 def apart(groups: Groups, place: Array, sigma_m: Array) -> npt_bool:
@@ -144,41 +146,39 @@ def stepped(before_n: Array, after_n: Array, before_sigma_m: Array | float, afte
     return np.asarray(step > _STEP_M + 5 * np.hypot(after_sigma_m, before_sigma_m))
 
 
-def spread(
-    groups: Groups, ray: Array, range_m: Array, angle_rad: Array, mean_ray: Array, mean_range: Array, mean_angle: Array
-) -> Array:
-    """What averaging makes of the scanner's errors, beyond their effect at the mean: (G, 2, 5) m and rad.
+def spread(groups: Groups, directions: Array, range_m: Array, angle_rad: Array, frame: Array, mean: Array) -> Array:
+    """What averaging makes of the scanner's errors, beyond their effect at the mean: (G, 3, 7) m, rad and m.
 
     A detection is displaced by ``(rho dK + db) u - r (a3 + (a2 - 1) t + a1 t^2) w`` with u the ray and w to its left
-    (the INS/LiDAR shearer paper, equations 1 and 4, to first order). Within a group u and t change; the mean of the
-    displacements differs from that at the mean ray in second order of the span of bearings.
+    (the INS/LiDAR shearer paper, equations 1 and 4, to first order), and by ``r (d . w) n`` where the scanner is turned
+    by d about an axis of its plane, n its normal. Within a group u, t and the machine's tilt change, so that the mean
+    of the displacements is not that of the mean reading: in range and angle, and in height above the plane at the mean
+    time. A centimetre of height moves the cut of a leaning leg by a millimetre.
 
     Parameters
     ----------
-    ray : (M, 2) level direction of each detection; range_m, angle_rad : (M,).
-    mean_ray : (G, 2); mean_range, mean_angle : (G,) of the mean reading.
+    directions : (M, 3, 3) u, w and n of each detection; range_m, angle_rad : (M,).
+    frame : (G, 3, 3) those of the mean reading; mean : (G, 3) its range, angle and height above its plane.
+
+    Returns
+    -------
+    By the calibration's first five numbers, and by turns about the scanner's right and forward axes; a turn about its
+    normal is as a bias of the angle.
     """
-    found = np.empty((len(groups.count), 2, 5))
-    for column, (along, weight, weight_of_mean) in enumerate(
-        (
-            (True, range_m, mean_range),
-            (True, np.ones_like(range_m), np.ones_like(mean_range)),
-            (False, -range_m, -mean_range),
-            (False, -range_m * angle_rad, -mean_range * mean_angle),
-            (False, -range_m * angle_rad**2, -mean_range * mean_angle**2),
-        )
-    ):
-        moved = groups.mean(ray * weight[:, None]) - mean_ray * weight_of_mean[:, None]
-        if not along:
-            moved = _left(moved)
-        found[:, 0, column] = (mean_ray * moved).sum(axis=1)
-        found[:, 1, column] = (_left(mean_ray) * moved).sum(axis=1) / mean_range
+    u, w, n = np.moveaxis(directions, -1, 0)
+    r = range_m[:, None]
+    moves = [r * u, u, -r * w, -(r * angle_rad[:, None]) * w]
+    moves += [moves[-1] * angle_rad[:, None], -(range_m * np.cos(angle_rad))[:, None] * n]
+    moves.append(-(range_m * np.sin(angle_rad))[:, None] * n)
+    found: Array = np.einsum("gji,gjc->gic", frame, np.stack([groups.mean(each) for each in moves], axis=-1))
+    rho, theta, off = mean.T
+    by_u, by_w = np.array([-np.sin(theta), np.cos(theta)]).T, np.array([-np.cos(theta), -np.sin(theta)]).T
+    found[:, 0] -= np.column_stack([rho, np.ones_like(rho), *np.zeros((3, len(rho))), -off[:, None] * by_w])
+    along = rho[:, None] * theta[:, None] ** np.arange(3)
+    found[:, 1] -= np.column_stack([*np.zeros((2, len(rho))), -along, off[:, None] * by_u])
+    found[:, 2, 5:] -= rho[:, None] * by_w
+    found[:, 1] /= rho[:, None]
     return found
-
-
-def _left(level: Array) -> Array:
-    """A quarter turn to the left."""
-    return np.stack([-level[:, 1], level[:, 0]], axis=1)
 
 
 def together(

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from factors import landmark, so3
+from factors import so3
 from factors.increments import npt_int
+from factors.legs import LegFamily
 from factors.so3 import Array, from_quaternion, to_quaternion
 from graphnav.config import Config
 from graphnav.leg_means import Groups, apart, npt_bool, on_the_ground, split, spread, together
@@ -43,7 +44,7 @@ class LegReadings:
     leg : (K,) index into `feature`; count : (K,) detections in each.
     turn_b, shift_n : (K, 3, 3), (K, 3) from b at the keyframe to b at the mean time of the detections.
     range_m, angle_rad, off_plane_m : (K,); sigma : (K, 2) m and rad.
-    spread : (K, 2, 5) what averaging made of the scanner's errors, see `graphnav.leg_means.spread`.
+    spread : (K, 3, 7) what averaging made of the scanner's errors, see `graphnav.leg_means.spread`.
     feature : (J,) feature numbers of the legs, twice or more for one that moved and kept its number; place_n : (J, 3)
         where each was first seen, for the initial value.
     apart : detections left out, since they lie elsewhere than the others of their leg.
@@ -74,9 +75,9 @@ class LegReadings:
         error, *_ = self.family(lidar).residuals(values)
         return np.asarray(np.hypot(error[:, 0], error[:, 1]))
 
-    def family(self, lidar: Lidar, loss: float | None = None) -> landmark.LegFamily:
-        """As factors, see `factors.landmark.LegFamily` for the loss."""
-        return landmark.LegFamily(
+    def family(self, lidar: Lidar, loss: float | None = None) -> LegFamily:
+        """As factors, see `factors.legs.LegFamily` for the loss."""
+        return LegFamily(
             X(0) + self.keyframe, L(0) + self.leg, np.full(len(self.leg), D(0)), self.turn_b, self.shift_n,
             self.range_m, self.angle_rad, self.place_n[self.leg, 2], self.off_plane_m, self.spread, self.sigma,
             from_quaternion(lidar.T_bs_quat_wxyz), lidar.T_bs_pos_m, loss,
@@ -215,7 +216,7 @@ def _of_block(
     mean_s = way.t_s[window] + groups.mean(t_s - way.t_s[keyframe])
     at = _nearest(way.t_s, mean_s) if nearest else window
     path = way.at(np.unique(np.concatenate([t_s, mean_s])))
-    place, ray = on_the_ground(path, t_s, ranges, angles, lidar)
+    place, directions = on_the_ground(path, t_s, ranges, angles, lidar)
     wrong = apart(groups, place, np.hypot(lidar.range_sigma_m, ranges * np.radians(lidar.angle_sigma_deg)))
     if wrong.any():
         return _of_block(log, config, way, rows[~wrong], keyframe[~wrong], names, velocity_m2_s2, nearest)
@@ -224,16 +225,18 @@ def _of_block(
     rotation_bs, to_b = from_quaternion(lidar.T_bs_quat_wxyz), so3.transpose(from_quaternion(way.quat_nb[at]))
     away_n = mean - pos - rotation @ lidar.T_bs_pos_m
     x, y, off = (np.einsum("kji,kj->ki", rotation, away_n) @ rotation_bs).T
-    range_m, angle_rad, level = np.hypot(x, y), np.arctan2(-x, y), away_n[:, :2]
-    mean_ray = level / np.hypot(level[:, 0], level[:, 1])[:, None]
+    range_m, angle_rad = np.hypot(x, y), np.arctan2(-x, y)
+    u_s = np.column_stack([x / range_m, y / range_m])
+    frame = rotation @ rotation_bs
+    frame[..., :2] = frame[..., :2] @ np.stack([u_s, u_s[:, ::-1] * [-1, 1]], axis=-1)
+    averaged = spread(groups, directions, ranges, angles, frame, np.column_stack([range_m, angle_rad, off]))
     own = np.array([lidar.range_sigma_m, np.radians(lidar.angle_sigma_deg)]) / np.sqrt(groups.count)[:, None]
     carried = together(
         log, config.lidar, groups, t_s - mean_s[groups.of_row], mean_s - way.t_s[at], window, range_m, velocity_m2_s2
     )
     return (
         at, window, which, groups.count, to_b @ rotation, pos - way.pos_n[at],
-        range_m, angle_rad, off, spread(groups, ray, ranges, angles, mean_ray, range_m, angle_rad),
-        np.hypot(own, carried), mean,
+        range_m, angle_rad, off, averaged, np.hypot(own, carried), mean,
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from graphnav.errors import SolveError
 from graphnav.graph import SmoothingGraph
 from graphnav.keyframes import run_frontend
 from graphnav.problem import V, X
-from graphnav.solvers import batch
+from graphnav.solvers import batch, elimination
 
 UNIT = gtsam.noiseModel.Unit.Create
 
@@ -259,16 +259,16 @@ def test_landmarks_are_ordered_last_and_nothing_is_lost(alone: int, first: bool)
 def test_sound_pivots_are_those_of_a_well_conditioned_problem() -> None:
     graph, start = marks(20)
     linear = graph.linearize(start)
-    ordering = batch._ordering(linear, [])
+    ordering = elimination.ordering_of(linear, [])
     tree = linear.eliminateMultifrontal(ordering)
     order = [ordering.at(k) for k in range(ordering.size())]
-    assert batch._sound(tree, order, tree.optimize())
+    assert elimination.sound(tree, order, tree.optimize())
     # two points tied a million times better than they are known
     strong = gtsam.NonlinearFactorGraph(graph)
     strong.add(gtsam.BetweenFactorVector(X(0), X(19), np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)))
     linear = strong.linearize(start)
     tree = linear.eliminateMultifrontal(ordering)
-    assert not batch._sound(tree, order, tree.optimize())
+    assert not elimination.sound(tree, order, tree.optimize())
 
 
 def test_a_valley_with_next_to_no_slope_is_left() -> None:

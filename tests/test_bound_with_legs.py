@@ -17,7 +17,7 @@ from graphnav.bound import bound
 from graphnav.problem import V, X
 from graphnav.simulation import shearer
 from graphnav.simulation.shearer import simulate_shearer
-from graphnav.solvers import batch
+from graphnav.solvers import elimination
 
 SEEDS = range(8)
 
@@ -35,7 +35,7 @@ def test_equals_a_dense_inverse(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def watched(linear: gtsam.GaussianFactorGraph, first: list[int]) -> object:
         seen.append(linear.clone())
-        return batch.elimination(linear, first)
+        return elimination.elimination(linear, first)
 
     monkeypatch.setattr(bound_module, "elimination", watched)
     found = bound(tiny())

@@ -9,6 +9,7 @@ from jacobians import ANGLES, analytic, central, factor_jacobian, moved, random_
 
 from factors import landmark, so3
 from factors.landmark import ANGLE_BIAS, ANGLE_SCALE, ANGLE_SQUARE, MOUNTING, RANGE_BIAS, RANGE_SCALE
+from factors.legs import LegFamily
 
 RNG_SEED = 4
 
@@ -174,7 +175,7 @@ def test_random_attitudes_are_not_special() -> None:
     assert np.abs(error).max() < 1e-12
 
 
-def family(rng: np.random.Generator, count: int = 3) -> tuple[landmark.LegFamily, gtsam.Values]:
+def family(rng: np.random.Generator, count: int = 3) -> tuple[LegFamily, gtsam.Values]:
     """Readings of different legs at one pose, each taken a known motion away from it."""
     rotation, pos = machine(rng)
     rotation_bs, lever = mounting(rng)
@@ -183,10 +184,10 @@ def family(rng: np.random.Generator, count: int = 3) -> tuple[landmark.LegFamily
     values.insert(100, systematic(rng))
     for k in range(count):
         values.insert(1 + k, np.r_[pos[:2] + rng.uniform(2, 5, 2), 0.1, 0.2])
-    readings = landmark.LegFamily(
+    readings = LegFamily(
         np.zeros(count, np.int64), 1 + np.arange(count), np.full(count, 100), so3.exp(rng.normal(0, 0.05, (count, 3))),
         rng.normal(0, 0.1, (count, 3)), rng.uniform(3, 6, count), rng.uniform(-1, 1, count), np.full(count, pos[2]),
-        rng.normal(0, 0.05, count), rng.normal(0, 0.01, (count, 2, 5)), rng.uniform(0.01, 0.1, (count, 2)),
+        rng.normal(0, 0.05, count), rng.normal(0, 0.01, (count, 3, 7)), rng.uniform(0.01, 0.1, (count, 2)),
         rotation_bs, lever,
     )  # fmt: skip
     return readings, values

@@ -8,7 +8,7 @@ import pytest
 from test_covariance import dims, random_problem
 
 from graphnav.problem import B, V, X
-from graphnav.solvers.batch import eliminate
+from graphnav.solvers.elimination import eliminate
 from graphnav.solvers.joint_keys import joint_covariance
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from graphnav.errors import SolveError
+from graphnav.solvers.elimination import check_determined, eliminate, ordering_of, sound
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,13 +25,8 @@ _FIRST_DAMPING = 1e-3
 _MAX_DAMPING = 1e8
 #: From a step this short on, elimination is by QR: the next one is probably the last.
 _NEAR_SIGMAS = 30.0
-#: Cholesky squares the condition number: with pivots smaller than the diagonal by less than this it keeps covariances
-#: to a thousandth (measured: 3e-4 at 8e10, 7e-6 at 8e8).
-_SOUND = 1e11
 #: Steps that lower the error (half a chi-square) by less than this, in a row, are enough.
 _FLAT, _FLAT_ITERATIONS = 0.2, 5
-#: Diagonal entries of R this much smaller than their clique's largest are round-off.
-_RANK = 1e-12
 
 
 @dataclass(frozen=True)
@@ -97,7 +93,7 @@ def solve(
     """
     iterations: list[Iteration] = []
     linear = graph.linearize(values)
-    ordering = _ordering(linear, first)
+    ordering = ordering_of(linear, first)
     order = [ordering.at(k) for k in range(ordering.size())]
     near_sigmas = tolerance_sigma if first is not None else _NEAR_SIGMAS
     error = linear.error(values.zeroVectors())
@@ -109,7 +105,7 @@ def solve(
         tree, delta, step = _step(linear, ordering, error, exact=near)
         if exact and not near and step <= near_sigmas:
             near = True
-            if step <= tolerance_sigma and not (first is not None and _sound(tree, order, delta)):
+            if step <= tolerance_sigma and not (first is not None and sound(tree, order, delta)):
                 tree, delta, step = _step(linear, ordering, error, exact=True)
         moved = values.retract(delta)
         converged = step <= tolerance_sigma
@@ -135,100 +131,13 @@ def solve(
         if converged or len(iterations) == max_iterations:
             if exact:
                 tree, delta, _ = _step(linear, ordering, error, exact=first is None)
-                if first is not None and not _sound(tree, order, delta):
+                if first is not None and not sound(tree, order, delta):
                     tree = eliminate(linear, ordering)
             break
     if not exact:
         return BatchResult(values, None, tuple(iterations), converged, order)
-    _check_determined(tree, order)
+    check_determined(tree, order)
     return BatchResult(values, tree, tuple(iterations), converged, order)
-
-
-def elimination(
-    linear: gtsam.GaussianFactorGraph, first: list[int] | None = None
-) -> tuple[gtsam.GaussianBayesTree, list[int]]:
-    """Bayes tree for covariances at one linearization, by the rules of `solve`, and its keys in elimination order.
-
-    Parameters
-    ----------
-    first : as in `solve`: with it by Cholesky where its pivots are sound, by QR otherwise.
-
-    Raises
-    ------
-    SolveError : a singular system (names a variable).
-    """
-    ordering = _ordering(linear, first)
-    order = [ordering.at(k) for k in range(ordering.size())]
-    if first is not None:
-        try:
-            tree = linear.eliminateMultifrontal(ordering)
-            if _sound(tree, order, tree.optimize()):
-                return tree, order
-        except RuntimeError:
-            pass  # indeterminate to Cholesky
-    tree = eliminate(linear, ordering)
-    _check_determined(tree, order)
-    return tree, order
-
-
-def _ordering(linear: gtsam.GaussianFactorGraph, first: list[int] | None) -> gtsam.Ordering:
-    """Fill-reducing order; with landmarks nested dissection of what is left after `first`."""
-    import gtsam
-
-    if first is None:
-        return gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-    ordering, rest = gtsam.Ordering(), linear
-    for key in first:
-        ordering.push_back(key)
-    try:
-        if first:
-            _, rest = linear.eliminatePartialMultifrontal(ordering)
-        alone = _alone(rest)
-        if alone:
-            for key in alone:
-                ordering.push_back(key)
-            _, rest = linear.eliminatePartialMultifrontal(ordering)
-    except RuntimeError:  # indeterminate to Cholesky
-        return gtsam.Ordering.ColamdGaussianFactorGraph(linear)
-    last = gtsam.Ordering.MetisGaussianFactorGraph(rest)
-    for k in range(last.size()):
-        ordering.push_back(last.at(k))
-    return ordering
-
-
-def _alone(linear: gtsam.GaussianFactorGraph) -> list[int]:
-    """Variables that share no factor with another: METIS does not survive them."""
-    tied: set[int] = set()
-    keys: set[int] = set()
-    for k in range(linear.size()):
-        factor = linear.at(k)
-        found = factor.keys() if factor is not None else []
-        keys.update(found)
-        if len(found) > 1:
-            tied.update(found)
-    return sorted(keys - tied)
-
-
-def _sound(tree: gtsam.GaussianBayesTree, order: list[int], delta: gtsam.VectorValues) -> bool:
-    """Whether Cholesky's pivots are large enough beside the diagonal of the information, see `_SOUND`.
-
-    With ``R'R`` the information, its diagonal is the sum of squares of each column of R, over all cliques.
-    """
-    keys: list[int] = []
-    squares, pivots = [], []
-    for key in order:
-        conditional = tree[key].conditional()
-        if conditional.firstFrontalKey() == key:
-            r = conditional.R()
-            keys += conditional.keys()
-            squares += [np.square(r).sum(axis=0), np.square(conditional.S()).sum(axis=0)]
-            pivots.append(np.concatenate([np.square(r.diagonal()), np.full(squares[-1].size, np.inf)]))
-    size = {key: len(delta.at(key)) for key in order}
-    first = dict(zip(order, np.cumsum([0, *size.values()]).tolist(), strict=False))
-    sizes = np.array([size[key] for key in keys])
-    rows = np.repeat([first[key] for key in keys] - np.cumsum(sizes) + sizes, sizes) + np.arange(sizes.sum())
-    diagonal = np.bincount(rows, np.concatenate(squares))
-    return bool((diagonal[rows] <= _SOUND * np.concatenate(pivots)).all())
 
 
 def _step(
@@ -251,26 +160,6 @@ def _step(
     tree = eliminate(linear, ordering)
     delta = tree.optimize()
     return tree, delta, float(np.sqrt(max(2 * (error - linear.error(delta)), 0.0)))
-
-
-def eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gtsam.GaussianBayesTree:
-    """Multifrontal QR."""
-    import gtsam
-
-    try:
-        return linear.eliminateMultifrontal(ordering, gtsam.EliminateQR)
-    except RuntimeError as error:
-        raise SolveError.singular(error) from None
-
-
-def _check_determined(tree: gtsam.GaussianBayesTree, order: list[int]) -> None:
-    """Refuse a solution with an undetermined variable: behind loops QR leaves a diagonal of round-off, and no error."""
-    for key in order:
-        conditional = tree[key].conditional()
-        if conditional.firstFrontalKey() == key:
-            diagonal = np.abs(np.diagonal(conditional.R()))
-            if diagonal.min() <= _RANK * diagonal.max():
-                raise SolveError.undetermined(key)
 
 
 def _shorter_step(
@@ -298,7 +187,7 @@ def _damped_step(
     """Raise the damping until a step lowers the error: the new values, their linearization and error, the damping."""
     linear = graph.linearize(values)
     # a step that fails for want of information is no matter of damping
-    _check_determined(eliminate(linear, ordering), [ordering.at(k) for k in range(ordering.size())])
+    check_determined(eliminate(linear, ordering), [ordering.at(k) for k in range(ordering.size())])
     damping = _FIRST_DAMPING
     while damping <= _MAX_DAMPING:
         step = eliminate(_damped(linear, values, damping), ordering).optimize()

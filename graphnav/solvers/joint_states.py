@@ -17,8 +17,8 @@ from graphnav.graph import build_graph
 from graphnav.legs import LegReadings
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, D, L, Problem, V, X
-from graphnav.solvers.batch import eliminate, elimination
 from graphnav.solvers.covariance import joint_marginals
+from graphnav.solvers.elimination import eliminate, elimination
 from graphnav.solvers.joint_keys import joint_covariance
 
 if TYPE_CHECKING:
