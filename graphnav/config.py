@@ -118,6 +118,17 @@ class LidarConfig(_Section):
     advances: bool = Field(True, description="legs of successive cycles are tied by the push of their support")
 
 
+class UwbConfig(_Section):
+    """UWB ranges."""
+
+    use: bool = True
+    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
+        "geman-mcclure", description="how ranges that disagree are found; none: all count in full"
+    )
+    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
+    reject_sigmas: float = Field(4.0, gt=0, description="ranges that are off by more are left out in the end")
+
+
 class FilterConfig(_Section):
     """The error-state Kalman filter of the methods ekf, rts and rts-online."""
 
@@ -167,6 +178,7 @@ class Config(_Section):
     closed_path: ClosedPathConfig = ClosedPathConfig()
     position: PositionConfig = PositionConfig()
     lidar: LidarConfig = LidarConfig()
+    uwb: UwbConfig = UwbConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()

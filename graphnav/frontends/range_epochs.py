@@ -204,3 +204,19 @@ def start_position(log: SensorLog, rotation_nb: Array, start_s: float, rest_s: A
     constant = total_sigma(uwb) ** 2 - uwb.sigma_m**2 - (uwb.markov_sigma_m or 0.0) ** 2
     found = fix(epochs.anchors_n, ranges, np.sqrt(calm**2 * (white + shared) + constant), near)
     return found.pos_n - rotation_nb @ epochs.lever_arm_b[0], found.cov
+
+
+def fixes_by_ranges(log: SensorLog, rotation_nb: Array) -> tuple[tuple[float, Array, Array], ...]:
+    """Positions of the body, one a second, for initial values alone: (time, position (3,), sigma (3,)).
+
+    None where the anchors determine no position. `rotation_nb` (3, 3) stands for the attitude throughout, which leaves
+    positions wrong by the lever arm where the machine turns.
+    """
+    try:
+        epochs = range_epochs(log)
+        found = positions(epochs).pos_n - epochs.lever_arm_b @ rotation_nb.T
+    except LogError:
+        return ()
+    second = np.floor((epochs.t_s - epochs.t_s[0]) / _FIRST_S).astype(int)
+    parts = [np.flatnonzero(second == k) for k in np.unique(second)]
+    return tuple((float(epochs.t_s[p].mean()), np.median(found[p], axis=0), np.ones(3)) for p in parts)
