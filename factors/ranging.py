@@ -19,6 +19,7 @@ import numpy as np
 from factors import lookup, so3
 from factors.increments import npt_int
 from factors.inertial import Motion, predict
+from factors.known import known_factor
 from factors.robust import Loss, losses, weights
 from factors.so3 import Array
 
@@ -170,7 +171,7 @@ class RangeFamily:
             error, jacobians = root * error, {name: root[:, None] * each for name, each in jacobians.items()}
         graph = gtsam.NonlinearFactorGraph()
         for rows in self.groups():
-            graph.add(self._factor(rows, error, jacobians))
+            graph.add(known_factor(*self.blocks(rows, jacobians), error[rows]))
         linear.push_back(graph.linearize(values))
         # a row of no variable's makes the linear graph's error that of the loss
         held = int(self.pose_key[0])
@@ -182,11 +183,6 @@ class RangeFamily:
         first = np.flatnonzero(np.diff(self.pose_key, prepend=-1))
         last = np.append(first[1:], len(self.pose_key))
         return [slice(lo, hi) for lo, hi in zip(first.tolist(), last.tolist(), strict=True)]
-
-    def _factor(self, rows: slice, error: Array, jacobians: dict[str, Array]) -> gtsam.CustomFactor:
-        """The ranges of one keyframe, at errors and Jacobians that are known."""
-        keys, blocks = self.blocks(rows, jacobians)
-        return _known(keys, blocks, error[rows])
 
     def blocks(self, rows: slice, jacobians: dict[str, Array]) -> tuple[list[int], list[Array]]:
         """Keys and Jacobians of the ranges of one keyframe."""
@@ -235,19 +231,6 @@ class _Evaluated:
             for k, block in enumerate(self.family.blocks(self.rows, by)[1]):
                 jacobians[k] = block
         return error
-
-
-def _known(keys: list[int], blocks: list[Array], error: Array) -> gtsam.CustomFactor:
-    """A factor whose error and Jacobians are known."""
-    import gtsam
-
-    def told(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        if jacobians is not None:
-            for k, block in enumerate(blocks):
-                jacobians[k] = block
-        return error
-
-    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(error)), keys, told)
 
 
 def markov_factor(key_1: int, key_2: int, span: float, size: int) -> gtsam.CustomFactor:
