@@ -159,6 +159,20 @@ class LidarFilterConfig(_Section):
     height_walk_m_sqrt_s: float = Field(1e-3, gt=0, description="random walk of the height at which it is seen")
 
 
+class UwbFilterConfig(_Section):
+    """The IMU/UWB paper's filters: the methods imu-uwb, and those that end in vbukf."""
+
+    bias_time_s: float | None = Field(
+        None, gt=0, description="time constant of the Gauss-Markov biases; left out: as their declared walk tells"
+    )
+    gate_sigmas: float | None = Field(None, gt=0, description="ranges farther off are left out; the paper has no gate")
+    inflate: bool = Field(
+        False, description="ranges with Markov errors count as seldom as these renew; the paper takes them for white"
+    )
+    accel_density_m_s2_sqrt_hz: float = Field(0.01, gt=0, description="what drives the velocity in the VB-UKF")
+    noise_memory_s: float = Field(10.0, gt=0, description="span over which the VB-UKF learns the noise")
+
+
 class DeadReckoningConfig(_Section):
     """What dead reckoning is told of the sensors' errors."""
 
@@ -183,6 +197,7 @@ class Config(_Section):
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()
     lidar_filter: LidarFilterConfig = LidarFilterConfig()
+    uwb_filter: UwbFilterConfig = UwbFilterConfig()
     dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
     covariance: bool = Field(True, description="covariances at all keyframes")
 
