@@ -301,12 +301,13 @@ class UwbTag(Record):
 
 @dataclass(frozen=True, eq=False)
 class UwbAnchor(Record):
-    """A surveyed UWB anchor."""
+    """A UWB anchor, surveyed or, in a `group`, known but for a rigid displacement of all anchors of that group."""
 
     SECTION: ClassVar[str] = "uwb.anchor"
     id: str = param(kind="str")
     pos_n_m: Array = param(shape=(3,))
     sigma_m: float = param(positive=True)
+    group: str | None = param(None, kind="str")
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,6 +316,10 @@ class Uwb(Record):
 
     A range is the distance plus its anchor's constant, a first-order Markov process of its own, and white noise;
     `rest_factor` times the latter two while the machine stands.
+
+    The anchors of a group stand on one body: truly they are where they are declared (each to its own sigma), turned
+    together about up, about the mean of their declared positions, and then moved together. Sigma of the turn (None: no
+    turn) and of each axis of the move, both drawn anew for every group.
     """
 
     SECTION: ClassVar[str] = "uwb"
@@ -330,6 +335,8 @@ class Uwb(Record):
     markov_sigma_m: float | None = param(None, positive=True)
     markov_time_s: float | None = param(None, positive=True)
     rest_factor: float = param(1.0, positive=True)
+    group_sigma_m: float | None = param(None, positive=True)
+    group_turn_sigma_deg: float | None = param(None, positive=True)
     tag: tuple[UwbTag, ...] = param((), items=UwbTag)
     anchor: tuple[UwbAnchor, ...] = param((), items=UwbAnchor)
     time_offset_s: float = param(0.0)
@@ -348,6 +355,8 @@ class Uwb(Record):
                 )
         if (self.markov_sigma_m is None) != (self.markov_time_s is None):
             raise self.error("markov_sigma_m and markov_time_s belong together", fix="declare both, or neither")
+        if self.group_sigma_m is None and any(anchor.group is not None for anchor in self.anchor):
+            raise self.error("anchors in groups without group_sigma_m", fix="declare how far a group may have moved")
 
 
 @dataclass(frozen=True, eq=False)
