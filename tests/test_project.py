@@ -60,9 +60,10 @@ FLOORS = (
         "graphnav.leg_priors",
         "graphnav.initial",
         "graphnav.problem",
+        "graphnav.ranges",
         "graphnav.preintegration",
     },
-    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement"},
+    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement", "graphnav.range_agreement"},
     {
         "graphnav.smooth",
         "graphnav.outcome",
