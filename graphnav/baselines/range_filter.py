@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import so3
 from factors.increments import npt_int
 from factors.so3 import Array, from_quaternion
 from graphnav.baselines import kalman, strapdown
@@ -24,7 +23,7 @@ from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.measurements import Rows
 from graphnav.baselines.plan import prior_covariance, walks
 from graphnav.baselines.squared_range import INERTIAL, interval
-from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, PHI, POS, SIZE, VEL, Nominal
+from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, POS, SIZE, Nominal
 from graphnav.baselines.tape import Estimates
 from graphnav.errors import SolveError
 
@@ -201,12 +200,12 @@ class RangeFilter:
         )
 
     def _feed_back(self, before: Nominal, x: Array) -> None:
-        """Equation 26; errors keep the direction that a turn of the world shows nowhere: `ekf.fed_back`."""
-        after = before.corrected(np.concatenate([x, np.zeros(4)]))
-        reset = np.eye(INERTIAL)
-        reset[VEL, PHI] = so3.skew(before.vel_n - after.vel_n)
-        reset[POS, PHI] = so3.skew(before.pos_n - after.pos_n)
-        self.nominal, self.covariance = after, reset @ self.covariance @ reset.T
+        """Equation 26; the covariance stays, as there.
+
+        Anchors stand in n, so a turn of the world does show: the reset of `ekf.fed_back`, which keeps it hidden, would
+        make every correction of the position a story about the heading.
+        """
+        self.nominal = before.corrected(np.concatenate([x, np.zeros(4)]))
 
     def _refuse_divergence(self, i: int) -> None:
         speed = float(np.abs(self.nominal.vel_n).max())
