@@ -137,6 +137,8 @@ def ranges_at_rest(one: Found) -> Any:
     ):
         for at, anchor in zip(axes[:, column], _ANCHORS, strict=True):
             mine = inside & (one.anchor == anchor)
+            if not mine.any():
+                continue
             fluctuation = 100 * (one.range_m[mine] - np.median(one.range_m[mine]))
             at.plot(one.range_s[mine], fluctuation, ".", ms=2.0, color=_COLOURS[0])
             at.set_ylim(-8, 20)

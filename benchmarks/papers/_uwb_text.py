@@ -92,7 +92,8 @@ def why(results: Results, site: str) -> str:
         " filter moves slowly, and a second one that sees positions alone cannot tell it from motion. A gain as the"
         " paper's needs errors of the fused positions that are new from one to the next, as when a filter follows its"
         " ranges more closely than their noise warrants. Its covariance is not to be believed, NEES"
-        f" {_nees(results, site, 'imu-uwb-vbukf', 0)}: it learns the noise from how positions differ from one to the next."
+        f" {_nees(results, site, 'imu-uwb-vbukf', 0)}: it learns the noise from how positions differ from"
+        " one to the next."
     )
     if results.courses(site, GRAPH):
         lines.append(
@@ -131,9 +132,9 @@ def why_attitude(results: Results) -> str:
             f" {published.ATTITUDE_DEG:g} deg. It is the heading, declared to 1 deg: pitch and roll are gravity's."
         )
     lines.append(
-        "- The heading shows in the ranges only while the machine speeds up and slows down, here at 0.02 m/s^2. Else it is"
-        " what was declared at the start, and what is left of the gyro's bias after the first rest. Where Markov errors"
-        " are taken for white the filter reads some of them as heading."
+        "- The heading shows in the ranges only while the machine speeds up and slows down, here at 0.02 m/s^2. Else it"
+        " is what was declared at the start, and what is left of the gyro's bias after the first rest. Where Markov"
+        " errors are taken for white the filter reads some of them as heading."
     )
     lines.append(
         "- The gyro's biases are those of the first rest. The paper's biases are small and steady because the drive is"

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from factors import so3
 from factors.increments import npt_int
 from factors.so3 import Array, from_quaternion
 from graphnav.baselines import kalman, strapdown
@@ -23,7 +24,7 @@ from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.measurements import Rows
 from graphnav.baselines.plan import prior_covariance, walks
 from graphnav.baselines.squared_range import INERTIAL, interval
-from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, POS, SIZE, Nominal
+from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, PHI, POS, SIZE, VEL, Nominal
 from graphnav.baselines.tape import Estimates
 from graphnav.errors import SolveError
 
@@ -200,12 +201,15 @@ class RangeFilter:
         )
 
     def _feed_back(self, before: Nominal, x: Array) -> None:
-        """Equation 26; the covariance stays, as there.
+        """Equation 26, and of `ekf.fed_back` the part for the velocity: at rest no turn of the world shows.
 
-        Anchors stand in n, so a turn of the world does show: the reset of `ekf.fed_back`, which keeps it hidden, would
-        make every correction of the position a story about the heading.
+        Not the part for the position: beside anchors that stand in n such a turn does show, and keeping it hidden made
+        every correction of the position a story about the heading.
         """
         self.nominal = before.corrected(np.concatenate([x, np.zeros(4)]))
+        reset = np.eye(INERTIAL)
+        reset[VEL, PHI] = so3.skew(before.vel_n - self.nominal.vel_n)
+        self.covariance = reset @ self.covariance @ reset.T
 
     def _refuse_divergence(self, i: int) -> None:
         speed = float(np.abs(self.nominal.vel_n).max())
