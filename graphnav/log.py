@@ -57,20 +57,35 @@ class Frames(Record):
             raise self.error(f"{self.gravity_m_s2}, expected 9.7 to 9.9 m/s^2", column="gravity_m_s2")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class InitialState(Record):
-    """State at the start of the first IMU row's interval, with 1-sigma."""
+    """State at the start of the first IMU row's interval, with 1-sigma.
+
+    Without `pos_n_m` and `pos_sigma_m` the position is unknown: zeros, with a sigma of 1000 m.
+    """
 
     SECTION: ClassVar[str] = "initial"
-    pos_n_m: Array = param(shape=(3,))
-    pos_sigma_m: Array = param(shape=(3,), positive=True)
+    UNKNOWN_M: ClassVar[float] = 100.0
+    pos_n_m: Array = param(None, shape=(3,))
+    pos_sigma_m: Array = param(None, shape=(3,), positive=True)
     quat_nb_wxyz: Array = param(shape=(4,))
     att_sigma_deg: Array = param(shape=(3,), positive=True)
     vel_n_m_s: Array = param(shape=(3,))
     vel_sigma_m_s: Array = param(shape=(3,), positive=True)
     static_until_s: float | None = param(None)
 
+    @property
+    def pos_known(self) -> bool:
+        """Whether the position is declared to better than 100 m; if not, measurements have to give it."""
+        return bool((self.pos_sigma_m < self.UNKNOWN_M).all())
+
     def __post_init__(self) -> None:
+        missing = [getattr(self, name) is None for name in ("pos_n_m", "pos_sigma_m")]
+        if any(missing) and not all(missing):
+            raise self.error("pos_n_m and pos_sigma_m belong together", fix="declare both, or neither")
+        if all(missing):
+            object.__setattr__(self, "pos_n_m", np.zeros(3))
+            object.__setattr__(self, "pos_sigma_m", np.full(3, 1000.0))
         super().__post_init__()
         unit_quaternion(self, "quat_nb_wxyz")
 
@@ -286,12 +301,13 @@ class UwbTag(Record):
 
 @dataclass(frozen=True, eq=False)
 class UwbAnchor(Record):
-    """A surveyed UWB anchor."""
+    """A UWB anchor, surveyed or, in a `group`, known but for a rigid displacement of all anchors of that group."""
 
     SECTION: ClassVar[str] = "uwb.anchor"
     id: str = param(kind="str")
     pos_n_m: Array = param(shape=(3,))
     sigma_m: float = param(positive=True)
+    group: str | None = param(None, kind="str")
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,6 +316,10 @@ class Uwb(Record):
 
     A range is the distance plus its anchor's constant, a first-order Markov process of its own, and white noise;
     `rest_factor` times the latter two while the machine stands.
+
+    The anchors of a group stand on one body: truly they are where they are declared (each to its own sigma), turned
+    together about up, about the mean of their declared positions, and then moved together. Sigma of the turn (None: no
+    turn) and of each axis of the move, both drawn anew for every group.
     """
 
     SECTION: ClassVar[str] = "uwb"
@@ -315,6 +335,8 @@ class Uwb(Record):
     markov_sigma_m: float | None = param(None, positive=True)
     markov_time_s: float | None = param(None, positive=True)
     rest_factor: float = param(1.0, positive=True)
+    group_sigma_m: float | None = param(None, positive=True)
+    group_turn_sigma_deg: float | None = param(None, positive=True)
     tag: tuple[UwbTag, ...] = param((), items=UwbTag)
     anchor: tuple[UwbAnchor, ...] = param((), items=UwbAnchor)
     time_offset_s: float = param(0.0)
@@ -333,6 +355,8 @@ class Uwb(Record):
                 )
         if (self.markov_sigma_m is None) != (self.markov_time_s is None):
             raise self.error("markov_sigma_m and markov_time_s belong together", fix="declare both, or neither")
+        if self.group_sigma_m is None and any(anchor.group is not None for anchor in self.anchor):
+            raise self.error("anchors in groups without group_sigma_m", fix="declare how far a group may have moved")
 
 
 @dataclass(frozen=True, eq=False)

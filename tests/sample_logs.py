@@ -64,7 +64,8 @@ def every_sensor_log() -> gl.SensorLog:
     rng = np.random.default_rng(6)
     small, t = small_log(), np.array([0.1, 0.2, 1 / 3])
     tags = (gl.UwbTag(id="1"),)
-    anchors = tuple(gl.UwbAnchor(id=name, pos_n_m=[1, 2, 3], sigma_m=0.005) for name in ('a "b" \\ é', "7"))
+    places: Any = {"pos_n_m": [1, 2, 3], "sigma_m": 0.005}
+    anchors = (gl.UwbAnchor(id='a "b" \\ é', **places), gl.UwbAnchor(id="7", group="carrier", **places))
     return gl.SensorLog(
         name='shift "42", Förderer\t1',
         epoch="2026-03-01T06:00:00Z",
@@ -95,6 +96,7 @@ def every_sensor_log() -> gl.SensorLog:
             range_m=[3.1, 3.2, 1e-3],
             rssi_db=[-80.5, -81.0, -79.0],
             bias_sigma_m=0.1,
+            group_sigma_m=0.03,
             tag=tags,
             anchor=anchors,
         ),
