@@ -1,4 +1,4 @@
-"""A linear factor on any number of variables: the wheel's own takes three at most."""
+"""Linear factors on any number of variables: the wheel's own takes three at most."""
 
 from __future__ import annotations
 
@@ -23,3 +23,16 @@ def known_factor(keys: list[int], blocks: list[Array], error: Array) -> gtsam.Cu
         return error
 
     return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(np.atleast_1d(error))), keys, told)
+
+
+def linear_factor(keys: list[int], blocks: list[Array]) -> gtsam.CustomFactor:
+    """A factor on vectors whose whitened error (R,) is the sum of each block (R, size) times its vector."""
+    import gtsam
+
+    def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        if jacobians is not None:
+            for k, block in enumerate(blocks):
+                jacobians[k] = block
+        return np.asarray(sum(block @ values.atVector(key) for key, block in zip(keys, blocks, strict=True)))
+
+    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(blocks[0])), keys, error)

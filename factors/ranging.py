@@ -132,10 +132,10 @@ class RangeFamily:
         error = error + anchor[:, 0] + self._markov(values)
         # what follows from the keyframe's pose, in its axes
         ray = np.einsum("kji,kj->ki", rotation, -by_anchor)
-        lever = np.einsum("kij,kj->ki", motion.rotation, self.lever_arm_b)
+        lever = np.einsum("kij,kj->ki", moved.rotation, self.lever_arm_b)
         by_gyro = np.cross(ray, motion.position_b) * t / 3 - by_at[:, :3] * t
         jacobians = {
-            "pose": np.concatenate([np.cross(motion.position_b + lever, ray), ray], axis=1),
+            "pose": np.concatenate([np.cross(moved.position_b + lever, ray), ray], axis=1),
             "velocity": -by_anchor * t,
             "bias": np.concatenate([-ray * t**2 / 2, by_gyro], axis=1),
             "anchor": np.concatenate([np.ones_like(t), by_anchor], axis=1),
@@ -202,7 +202,10 @@ class RangeFamily:
         return keys, blocks
 
     def factors(self) -> list[gtsam.CustomFactor]:
-        """The ranges of each keyframe as a factor evaluated anew, for an incremental solver; without the loss."""
+        """The ranges of each keyframe as a factor evaluated anew, for an incremental solver.
+
+        With a loss each range has the weight of its error where it is linearized (least squares, weighted anew).
+        """
         import gtsam
 
         found = []
@@ -227,6 +230,9 @@ class _Evaluated:
 
     def __call__(self, factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         error, by = self.family.residuals(values)
+        if self.family.loss != "none":
+            root = np.sqrt(weights(error, self.family.loss, self.family.scale))
+            error, by = root * error, {name: root[:, None] * each for name, each in by.items()}
         if jacobians is not None:
             for k, block in enumerate(self.family.blocks(self.rows, by)[1]):
                 jacobians[k] = block

@@ -46,7 +46,8 @@ def observe(
         with stages.stage("covariance") as tick:
             return of_graph(
                 problem, solved.data, solved.result.values,
-                legs=solved.legs, advances=solved.advances, causal=kind == "causal", progress=tick,
+                legs=solved.legs, advances=solved.advances, ranges=solved.ranges,
+                causal=kind == "causal", progress=tick,
             )  # fmt: skip
     from graphnav.baselines import rts
     from graphnav.baselines.inputs import PRESETS

@@ -97,13 +97,15 @@ def build_graph(
     )
 
 
-def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:
+def build_factors(problem: Problem, data: Preintegrated, ranges: RangeReadings | None = None) -> list[FactorAt]:
     """All factors one by one, in order of the last keyframe they need, for an incremental solver."""
     found = _common_factors(problem, data)
     family = displacement_family(problem, data)
     if family is not None:
         last = (family.key_j - X(0)).tolist()
         found += [FactorAt(j, family.factor(k)) for k, j in enumerate(last)]
+    if ranges is not None:
+        found += [FactorAt(*each) for each in ranges.factors(problem)]
     return sorted(found, key=lambda f: f.keyframe)
 
 

@@ -10,7 +10,7 @@ from factors.so3 import Array, to_quaternion
 from graphnav.keyframes import SAME_S
 from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
-from graphnav.log import Lidar
+from graphnav.log import Lidar, UwbAnchor
 from graphnav.problem import A, B, C, D, K, Problem, V, X, creep_cycles
 from graphnav.ranges import slots
 from graphnav.run import (
@@ -39,6 +39,8 @@ _DIMS = {ord(letter): size for letter, size in zip("xvbcklda", (6, 3, 6, 4, 1, 4
 
 #: Share of the detections that may be left out without a word, and sigmas at which a calibration is far off.
 _FEW, _FAR = 1e-3, 6.0
+#: Sigma from which on the place of a UWB anchor is an estimate worth telling.
+_SURVEYED_M = 0.01
 
 
 def covariances(
@@ -151,10 +153,17 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
         put(D(0), values.atVector(D(0)), LIDAR_NAMES)
     for a in _anchors(problem, values):
         assert problem.log.uwb is not None
-        put(A(a), values.atVector(A(a)), [(f"uwb_bias_{problem.log.uwb.anchor[a].id}", 1.0, "m")])
+        put(A(a), values.atVector(A(a)), anchor_names(problem.log.uwb.anchor[a]))
     for c in creep_cycles(problem):
         put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
     return found
+
+
+def anchor_names(anchor: UwbAnchor) -> list[tuple[str, float, str]]:
+    """Of an anchor's constant error, and of how far it stands from its declared place where that is not surveyed."""
+    places = [f"uwb_anchor_{anchor.id}_{axis}" for axis in ("east", "north", "up")]
+    told = anchor.group is not None or anchor.sigma_m >= _SURVEYED_M
+    return [(f"uwb_bias_{anchor.id}", 1.0, "m"), *((name, 1.0, "m") for name in places if told)]
 
 
 def history(problem: Problem, values: gtsam.Values) -> CalibrationHistory:

@@ -16,6 +16,7 @@ from factors.increments import compensated_increments, npt_int
 from factors.inertial import Motion, cumulate
 from factors.noise import diagonal
 from factors.so3 import Array
+from graphnav.anchor_priors import anchor_priors
 from graphnav.leg_means import npt_bool
 from graphnav.log import Uwb
 from graphnav.problem import A, B, M, Problem, V, X
@@ -23,8 +24,6 @@ from graphnav.problem import A, B, M, Problem, V, X
 if TYPE_CHECKING:
     import gtsam
 
-#: Sigma of a constant error that is declared to be none: too small to show.
-_NONE_M = 1e-4
 #: Keyframe intervals worked on at a time.
 _BLOCK = 500
 _SAME_S = 1e-6
@@ -47,6 +46,18 @@ class RangeReadings:
     def only(self, rows: npt_int | npt_bool) -> RangeReadings:
         """Some of them."""
         return RangeReadings(self.row[rows], self.anchor[rows], self.family.only(rows))
+
+    def factors(self, problem: Problem) -> list[tuple[int, gtsam.NonlinearFactor]]:
+        """Those of the ranges and of what stands beside them, each with the last keyframe it needs.
+
+        On its way an incremental solver cannot come back to a range; where outliers are looked for, Huber's loss, which
+        has one minimum, holds them off.
+        """
+        config = problem.config.uwb
+        family = self.family if config.loss == "none" else replace(self.family, loss="huber", scale=config.loss_sigmas)
+        last = [int(self.family.pose_key[rows.start]) - X(0) + 1 for rows in family.groups()]
+        beside = RangeStates.of(problem, self).factors(problem)
+        return beside + list(zip(last, family.factors(), strict=True))
 
 
 def uses_ranges(problem: Problem) -> bool:
@@ -208,9 +219,7 @@ class RangeStates:
         uwb, size = problem.log.uwb, slots(problem)
         assert uwb is not None
         found: list[tuple[int, gtsam.NonlinearFactor]] = []
-        for a in self.anchors:
-            sigma = np.r_[uwb.bias_sigma_m or _NONE_M, np.full(3, uwb.anchor[a].sigma_m)]
-            found.append((0, gtsam.PriorFactorVector(A(a), np.zeros(4), diagonal(sigma))))
+        found += [(0, factor) for factor in anchor_priors(uwb, self.anchors)]
         for first, last in self.markov:
             assert uwb.markov_time_s is not None
             found.append((first, gtsam.PriorFactorVector(M(first), np.zeros(size), diagonal(np.ones(size)))))

@@ -87,7 +87,7 @@ def solve_isam2(problem: Problem, stages: Stages) -> Solved:
     with stages.stage("assemble") as tick:
         start, gyro_bias = start_state(problem)
         data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
-        factors = build_factors(problem, data)
+        factors = build_factors(problem, data, range_readings(problem, data.gyro_bias_b, data.accel_bias_b))
     with stages.stage("solve") as tick:
         passed = incremental.solve(problem, data, factors, start, problem.config.isam2, tick)
         del factors

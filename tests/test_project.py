@@ -61,6 +61,7 @@ FLOORS = (
         "graphnav.initial",
         "graphnav.problem",
         "graphnav.ranges",
+        "graphnav.anchor_priors",
         "graphnav.preintegration",
     },
     {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement", "graphnav.range_agreement"},
@@ -79,6 +80,7 @@ FLOORS = (
         "graphnav.stops",
         "graphnav.face_line",
         "graphnav.creep",
+        "graphnav.range_outcome",
     },
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )

@@ -22,6 +22,7 @@ from graphnav.initial import States
 from graphnav.legs import uses_legs
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
+from graphnav.ranges import slots
 from graphnav.solvers.absolute import predicted_factor
 from graphnav.solvers.incremental_legs import LegFeed, without_legs
 
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
     import gtsam
 
     from graphnav.frontends.cutting_cycles import ClosedPathPoint
+
+
+#: Markov errors enter ranges linearly: no threshold on them matters.
+_MARKOV = 1e3
 
 
 @dataclass(frozen=True)
@@ -56,12 +61,16 @@ class IncrementalResult:
     update_seconds: Array
 
 
-def parameters(config: Isam2Config) -> gtsam.ISAM2Params:
+def parameters(config: Isam2Config, slots: int = 0) -> gtsam.ISAM2Params:
     """iSAM2 parameters: QR, and thresholds per kind of variable so that no unit rules the others.
 
     The check for relinearization needs the solution of all variables; `solve` asks for it ever more rarely as the graph
     grows, so that its cost stays in proportion. The wildfire threshold, one number for metres and rad/s alike, is so
     low that no bias is cut off.
+
+    Parameters
+    ----------
+    slots : size of the vectors of Markov errors of ranges.
     """
     import gtsam
 
@@ -78,6 +87,8 @@ def parameters(config: Isam2Config) -> gtsam.ISAM2Params:
         ("k", [config.threshold_position_m]),
         ("l", [config.threshold_position_m] * 2 + [config.threshold_lean] * 2),
         ("d", [config.threshold_scale, config.threshold_position_m, *[config.threshold_mounting_rad] * 6]),
+        ("a", [config.threshold_position_m] * 4),
+        ("m", [_MARKOV] * slots),
     ):
         thresholds.insert((letter, np.array(values)))
     params.setRelinearizeThreshold(thresholds)
@@ -91,12 +102,12 @@ class _Session:
         import gtsam
 
         self.problem, self.data = problem, data
-        self.isam = gtsam.ISAM2(parameters(config))
+        self.isam = gtsam.ISAM2(parameters(config, slots(problem)))
         # held so that callbacks get this object, not a copy of it
         self.theta = self.isam.getLinearizationPoint()
         self.rotation, self.pos, self.vel = start.rotation_nb[0], start.pos_n[0], start.vel_n[0]
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self.creeping = set(creep_cycles(problem))
+        self.creeping, self.slots = set(creep_cycles(problem)), slots(problem)
         self.predicted: list[gtsam.NonlinearFactor] = []
         self.relinearized, self.reeliminated = 0, list[int]()
         self.legs = LegFeed(problem, data) if uses_legs(problem) else None
@@ -155,11 +166,13 @@ class _Session:
         self.values.insert(C(epoch), self.calibration(epoch - 1) if known else np.zeros(4))
 
     def add_factor(self, factor: gtsam.NonlinearFactor) -> None:
-        """Add a factor, and the creep variable that it may be the first to mention."""
-        for key in factor.keys() if self.creeping else ():
-            if key >> 56 == ord("k") and not (self.theta.exists(key) or self.values.exists(key)):
+        """Add a factor, and the variables of creep and of ranges that it may be the first to mention."""
+        for key in factor.keys() if self.creeping or self.slots else ():
+            letter = chr(key >> 56)
+            if letter in "kam" and not (self.theta.exists(key) or self.values.exists(key)):
                 face = self.problem.log.face
-                self.values.insert(key, np.array([face.creep_m if face else 0.0]))
+                creep = np.array([face.creep_m if face else 0.0])
+                self.values.insert(key, {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots)}[letter])
         self.pending.add(factor)
 
     def add_absolute(self, point: ClosedPathPoint) -> None:

@@ -17,6 +17,7 @@ from graphnav.graph import build_graph
 from graphnav.legs import LegReadings
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, D, L, Problem, V, X
+from graphnav.ranges import RangeReadings, slots
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.solvers.elimination import eliminate, elimination
 from graphnav.solvers.joint_keys import joint_covariance
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from factors.advance import AdvanceFamily
 
 #: Sizes of the variables by the letter of their key.
-_DIMS = {"x": 6, "v": 3, "b": 6, "c": 4, "k": 1, "l": 4, "d": 8}
+_DIMS = {ord(letter): size for letter, size in zip("xvbcklda", (6, 3, 6, 4, 1, 4, 8, 4), strict=True)}
 Progress = Callable[[float, float], None]
 
 
@@ -39,6 +40,7 @@ def graph_covariances(
     *,
     legs: LegReadings | None = None,
     advances: AdvanceFamily | None = None,
+    ranges: RangeReadings | None = None,
     causal: bool = False,
     progress: Progress | None = None,
 ) -> Array:
@@ -49,13 +51,14 @@ def graph_covariances(
     keyframes : ascending; causal : False for the whole log, True for the log up to each keyframe.
     legs : the readings of LiDAR legs that take part; a reading counts from the last of its detections on.
     advances : pairs of these legs; a pair counts from the first reading of the later one on.
+    ranges : the UWB ranges that take part.
 
     Returns
     -------
     (T, 19, 19), or (T, 15, 15) without an odometer: bias and calibration are those of the interval that ends at the
     keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`.
     """
-    graph, scanner = build_graph(problem, data, legs, advances), list[int]()
+    graph, scanner = build_graph(problem, data, legs, advances, ranges), list[int]()
     if legs is not None and problem.log.lidar is not None:
         graph, scanner = graph.only_legs(legs, problem.log.lidar), [D(0)]
     groups = {i: (*_state_keys(problem, i), *scanner) for i in keyframes}
@@ -65,7 +68,7 @@ def graph_covariances(
     if causal:
         found = _causal(problem, linear, groups, chain, {} if legs is None else _seen(problem, legs), progress)
     else:
-        found = _smoothed(linear, groups, chain, progress)
+        found = _smoothed(problem, linear, groups, chain, progress)
     own = 15 + 4 * problem.has_calibration
     size = own + 8 * len(scanner)
     to_n = np.zeros((len(keyframes), size, size))
@@ -83,6 +86,7 @@ def graph_covariances(
 
 
 def _smoothed(
+    problem: Problem,
     linear: gtsam.GaussianFactorGraph,
     groups: dict[int, tuple[int, ...]],
     chain: list[int] | None,
@@ -92,7 +96,7 @@ def _smoothed(
     for keys in groups.values():
         linear.push_back(_tie(keys))
     tree, order = elimination(linear, chain)
-    return joint_marginals(tree, order, _dim, groups, progress)
+    return joint_marginals(tree, order, _sizes(problem), groups, progress)
 
 
 def _causal(
@@ -114,22 +118,24 @@ def _causal(
             so_far.push_back(linear.at(waiting.pop()[1]))
         so_far.push_back(_tie(keys))
         if chain is None:
-            found |= _state_last(so_far, i, keys)
+            found |= _state_last(so_far, i, keys, _sizes(problem))
         else:
             tree, order = elimination(so_far, _first(so_far, chain))
-            found[i] = joint_covariance(tree, order, _dim, list(keys))
+            found[i] = joint_covariance(tree, order, _sizes(problem), list(keys))
         if progress is not None:
             progress(done, len(groups))
     return found
 
 
-def _state_last(so_far: gtsam.GaussianFactorGraph, i: int, keys: tuple[int, ...]) -> dict[int, Array]:
+def _state_last(
+    so_far: gtsam.GaussianFactorGraph, i: int, keys: tuple[int, ...], dims: Callable[[int], int]
+) -> dict[int, Array]:
     """The joint covariance of keyframe i's `keys`, eliminated last so that nothing below need be looked at."""
     import gtsam
 
     ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(so_far, list(keys))
     last = [ordering.at(k) for k in range(ordering.size() - len(keys), ordering.size())]
-    return joint_marginals(eliminate(so_far, ordering), last, _dim, {i: keys})
+    return joint_marginals(eliminate(so_far, ordering), last, dims, {i: keys})
 
 
 def _first(so_far: gtsam.GaussianFactorGraph, chain: list[int]) -> list[int]:
@@ -177,12 +183,18 @@ def _needs(problem: Problem, keys: list[int], seen: dict[tuple[int, ...], int]) 
     needed = 0
     for key in keys:
         letter, index = chr(key >> 56), key & ((1 << 56) - 1)
-        if letter in "xv":
+        if letter in "xvm":
             needed = max(needed, index)
         elif letter in "bc" and index:
             epochs = problem.bias_epoch if letter == "b" else problem.calibration_epoch
             needed = max(needed, int(np.searchsorted(epochs, index)) + 1)
-    return needed
+    # a range lies between the keyframe whose pose it has and the next
+    return needed + (bool(poses) and any(key >> 56 == ord("a") for key in keys) and not _has_next(keys))
+
+
+def _has_next(keys: list[int]) -> bool:
+    """Whether a range's Markov errors name the keyframe after it already."""
+    return sum(key >> 56 == ord("m") for key in keys) == 2
 
 
 def _tie(keys: tuple[int, ...]) -> gtsam.GaussianFactor:
@@ -191,10 +203,12 @@ def _tie(keys: tuple[int, ...]) -> gtsam.GaussianFactor:
 
     parts = gtsam.GaussianFactorGraph()
     for key in keys:
-        size = _dim(key)
+        size = _DIMS[key >> 56]
         parts.push_back(gtsam.JacobianFactor(key, np.zeros((1, size)), np.zeros(1), gtsam.noiseModel.Unit.Create(1)))
     return gtsam.JacobianFactor(parts)
 
 
-def _dim(key: int) -> int:
-    return _DIMS[chr(key >> 56)]
+def _sizes(problem: Problem) -> Callable[[int], int]:
+    """Size of the variable of a key."""
+    sizes = _DIMS | {ord("m"): slots(problem)}
+    return lambda key: sizes[key >> 56]

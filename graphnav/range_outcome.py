@@ -1,0 +1,75 @@
+"""What became of a log's UWB ranges: how many were left out, of which anchor, and what that says of the anchor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.increments import npt_int
+from graphnav.log import Uwb
+from graphnav.ranges import RangeReadings
+from graphnav.run import Calibration
+
+if TYPE_CHECKING:
+    import gtsam
+
+#: Share of an anchor's ranges left out from which on the anchor itself is in doubt, and the fewest ranges that tell.
+_MOST, _FEWEST = 0.5, 20
+#: Declared sigmas at which a constant error is far off.
+_FAR = 4.0
+
+
+@dataclass(frozen=True)
+class AnchorCount:
+    """Ranges of one anchor: used and left out, and the median error of the latter, m, by the rest of the graph."""
+
+    anchor: str
+    used: int
+    left_out: int
+    off_m: float
+
+
+def anchor_counts(
+    uwb: Uwb, used: RangeReadings, left_out: RangeReadings | None, values: gtsam.Values
+) -> list[AnchorCount]:
+    """For every anchor heard; `values` is the solution."""
+    out: npt_int = np.zeros(0, np.int64)
+    off_m = np.zeros(0)
+    if left_out is not None and len(left_out.row):
+        out, off_m = left_out.anchor, -left_out.family.residuals(values)[0] * left_out.family.sigma_m
+    found = []
+    for a in np.unique(np.concatenate([used.anchor, out])).tolist():
+        off = off_m[out == a]
+        found.append(
+            AnchorCount(
+                uwb.anchor[a].id, int((used.anchor == a).sum()), len(off), float(np.median(off)) if len(off) else 0.0
+            )
+        )
+    return found
+
+
+def rejected(counts: list[AnchorCount]) -> dict[str, int]:
+    """Ranges left out, in all and by anchor; empty where there are none."""
+    by_anchor = {f"uwb anchor {each.anchor}": each.left_out for each in counts if each.left_out}
+    return {"uwb": sum(by_anchor.values()), **by_anchor} if by_anchor else {}
+
+
+def range_warnings(uwb: Uwb, counts: list[AnchorCount], calibration: dict[str, Calibration]) -> list[str]:
+    """What the user should know of the anchors, one line each."""
+    lines = []
+    for each in counts:
+        total = each.used + each.left_out
+        if total >= _FEWEST and each.left_out > _MOST * total:
+            lines.append(
+                f"{each.left_out} of {total} ranges of UWB anchor {each.anchor} disagree with the rest and were left"
+                f" out, by {each.off_m:+.2f} m: check its position, or declare a larger bias_sigma_m"
+            )
+        bias = calibration.get(f"uwb_bias_{each.anchor}")
+        if bias is not None and uwb.bias_sigma_m is not None and abs(bias.value) > _FAR * uwb.bias_sigma_m:
+            lines.append(
+                f"the constant error of UWB anchor {each.anchor} came out at {bias.value:.3f} m,"
+                f" {abs(bias.value) / uwb.bias_sigma_m:.0f} times its declared sigma: check its position"
+            )
+    return lines

@@ -1,0 +1,92 @@
+"""UWB logs that are wrong or too poor: each is handled, or refused in clear words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from uwb_logs import ANCHORS, passing
+
+import graphnav as gn
+from graphnav.config import Config
+from graphnav.errors import LogError
+from graphnav.evaluation import evaluate
+from graphnav.log import SensorLog
+from graphnav.run import Run
+
+
+def smoothed(log: SensorLog) -> Run:
+    return gn.smooth(replace(log, truth=None))
+
+
+def with_ranges(log: SensorLog, range_m: np.ndarray, **declared: object) -> SensorLog:
+    assert log.uwb is not None
+    return replace(log, uwb=replace(log.uwb, range_m=range_m, **declared))
+
+
+def off(log: SensorLog, anchor: str, by_m: float) -> np.ndarray:
+    """Ranges, those of one anchor off."""
+    assert log.uwb is not None
+    return log.uwb.range_m + np.where(log.uwb.anchor_id == anchor, by_m, 0.0)
+
+
+def test_two_anchors_without_a_start_are_refused() -> None:
+    with pytest.raises(LogError, match="2 anchors, a position from ranges alone needs 3"):
+        smoothed(passing(anchors=ANCHORS[:2], known=False))
+
+
+def test_two_anchors_with_a_known_start_serve() -> None:
+    log = passing(1, anchors=ANCHORS[:2])
+    without = gn.smooth(replace(log, truth=None), Config.from_dict({"uwb": {"use": False}}))
+    rms = [np.linalg.norm(evaluate(run.trajectory, log).rms_m) for run in (smoothed(log), without)]
+    assert rms[0] < 0.5 * rms[1]
+
+
+def test_anchors_on_a_line_without_a_start_are_refused() -> None:
+    line = np.array([1.0, 0.0, 1.0]) + np.outer(np.arange(4), [0.5, 1.0, 0.2])
+    with pytest.raises(LogError, match="the anchors lie on one line"):
+        smoothed(passing(anchors=line, known=False))
+
+
+def test_anchors_in_a_plane_without_a_start_are_refused() -> None:
+    flat = ANCHORS * [1, 1, 0] + [0, 0, 2.0]
+    with pytest.raises(LogError, match="two mirrored positions"):
+        smoothed(passing(anchors=flat, known=False))
+
+
+def test_a_range_of_zero_is_refused_by_its_row() -> None:
+    log = passing(seconds=20.0)
+    assert log.uwb is not None
+    ranges = log.uwb.range_m.copy()
+    ranges[7] = 0.0
+    with pytest.raises(LogError, match="row 8"):
+        with_ranges(log, ranges)
+
+
+def test_a_range_of_ten_kilometres_is_left_out() -> None:
+    log = passing(2, seconds=30.0)
+    assert log.uwb is not None
+    ranges = log.uwb.range_m.copy()
+    ranges[500] = 10_000.0
+    run, clean = smoothed(with_ranges(log, ranges)), smoothed(log)
+    assert run.diagnostics.rejected["uwb"] >= 1
+    assert np.abs(run.trajectory.pos_n - clean.trajectory.pos_n).max() < 2e-3
+
+
+def test_ranges_of_one_anchor_a_metre_off_are_left_out_and_told_by_name() -> None:
+    log = passing(3)
+    run, clean = smoothed(with_ranges(log, off(log, "4", 1.0))), smoothed(log)
+    assert any("ranges of UWB anchor 4 disagree" in line for line in run.diagnostics.warnings)
+    assert np.linalg.norm(evaluate(run.trajectory, log).rms_m) < 3 * np.linalg.norm(
+        evaluate(clean.trajectory, log).rms_m
+    )
+
+
+def test_ranges_of_one_anchor_a_metre_off_are_estimated_where_declared() -> None:
+    log = passing(3)
+    run = smoothed(with_ranges(log, off(log, "2", 1.0), bias_sigma_m=0.5))
+    bias = run.calibration["uwb_bias_2"]
+    assert bias.sigma is not None
+    assert abs(bias.value - 1.0) < 4 * bias.sigma
+    assert run.diagnostics.rejected.get("uwb", 0) < 0.01 * len(run.trajectory) * 40
