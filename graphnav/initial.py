@@ -88,8 +88,10 @@ def start_state(problem: Problem) -> tuple[States, Array]:
         problem.earth_rate_n,
     )  # fmt: skip
     pos = initial.pos_n_m
-    if is_unknown(initial):
+    if is_unknown(initial) and problem.frontend.ranging:
         pos, _ = start_position(problem.log, rotation, float(problem.keyframe_s[0]), problem.frontend.rest_s)
+    elif is_unknown(initial) and problem.frontend.fixes:
+        pos = problem.frontend.fixes[0][1]
     return States(rotation[None], pos[None], initial.vel_n_m_s[None]), bias
 
 

@@ -11,17 +11,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.advance import AdvanceFamily
+from factors.position import position_factor
 from factors.so3 import Array
 from graphnav._memory import release
 from graphnav._stages import Stages
-from graphnav.graph import SmoothingGraph, build_factors, build_graph
+from graphnav.frontends.range_epochs import is_unknown, start_position
+from graphnav.graph import FactorAt, SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.outcome import estimated_biases
 from graphnav.preintegration import Preintegrated, preintegrate
-from graphnav.problem import D, L, Problem
+from graphnav.problem import D, L, Problem, X
 from graphnav.range_agreement import agreeing_ranges
 from graphnav.ranges import RangeReadings, RangeStates, range_readings
 from graphnav.solvers import absolute, batch, incremental
@@ -87,7 +89,8 @@ def solve_isam2(problem: Problem, stages: Stages) -> Solved:
     with stages.stage("assemble") as tick:
         start, gyro_bias = start_state(problem)
         data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
-        factors = build_factors(problem, data, range_readings(problem, data.gyro_bias_b, data.accel_bias_b))
+        ranges = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
+        factors = _near_the_start(problem, start) + build_factors(problem, data, ranges)
     with stages.stage("solve") as tick:
         passed = incremental.solve(problem, data, factors, start, problem.config.isam2, tick)
         del factors
@@ -96,6 +99,19 @@ def solve_isam2(problem: Problem, stages: Stages) -> Solved:
     solved = _solve_rounds(problem, stages, data, values, passed.predicted)
     solved.causal = passed.causal
     return solved
+
+
+def _near_the_start(problem: Problem, start: States) -> list[FactorAt]:
+    """On iSAM2's way alone: the position that ranges gave at the start, where the log declares none.
+
+    Steps along what the first few ranges leave open are not controlled, and anchors near one plane have two solutions.
+    At three sigmas it counts the ranges of the start a ninth more; the batch iterations do without it.
+    """
+    if not (is_unknown(problem.initial) and problem.frontend.ranging):
+        return []
+    first, rest = float(problem.keyframe_s[0]), problem.frontend.rest_s
+    pos, cov = start_position(problem.log, start.rotation_nb[0], first, rest)
+    return [FactorAt(0, position_factor(X(0), pos, 3 * np.sqrt(np.diag(cov))))]
 
 
 def _solve_rounds(
