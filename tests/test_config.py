@@ -114,5 +114,5 @@ def test_every_number_of_the_default_is_written() -> None:
         for name in type(model).model_fields
         if name not in written[section]
     ]
-    filter_ = ["lidar_filter.mode", "lidar_filter.distance_m"]
+    filter_ = ["lidar_filter.mode", "lidar_filter.distance_m", "uwb_filter.bias_time_s", "uwb_filter.gate_sigmas"]
     assert missing == ["keyframes.distance_m", "closed_path.interval_m", "lidar.together_m", *filter_]
