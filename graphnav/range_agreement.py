@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     import gtsam
 
 #: Each step of the narrowing.
-_NARROWER = 3.0
-#: Joint sigmas at which one step of the narrowing is done, and its iterations at most.
-_ROUGH_SIGMAS, _ITERATIONS = 3.0, 10
+_NARROWER = 4.0
+#: Joint sigmas at which a step of the narrowing is done, at which the last one is, and iterations at most.
+_ON_THE_WAY, _ROUGH_SIGMAS, _ITERATIONS = 30.0, 3.0, 10
 
 
 def agreeing_ranges(graph: SmoothingGraph, config: UwbConfig, values: gtsam.Values) -> tuple[gtsam.Values, npt_bool]:
@@ -36,19 +36,21 @@ def agreeing_ranges(graph: SmoothingGraph, config: UwbConfig, values: gtsam.Valu
     """
     family = graph.ranges
     assert family is not None
-    values = _roughly(graph, values)
+    values = _roughly(graph, values, _ON_THE_WAY)
     off = np.abs(family.residuals(values)[0])
     scale = max(float(off.max(initial=0.0)), config.loss_sigmas)
     while off.max(initial=0.0) > config.reject_sigmas and scale >= config.loss_sigmas:
-        values = _roughly(replace(graph, ranges=replace(family, loss=config.loss, scale=scale)), values)
+        last = scale == config.loss_sigmas
+        robust = replace(graph, ranges=replace(family, loss=config.loss, scale=scale))
+        values = _roughly(robust, values, _ROUGH_SIGMAS if last else _ON_THE_WAY)
         off = np.abs(family.residuals(values)[0])
-        if scale == config.loss_sigmas:
+        if last:
             break
         scale = max(scale / _NARROWER, config.loss_sigmas)
     return values, np.asarray(off <= config.reject_sigmas)
 
 
-def _roughly(graph: SmoothingGraph, values: gtsam.Values) -> gtsam.Values:
+def _roughly(graph: SmoothingGraph, values: gtsam.Values, sigmas: float) -> gtsam.Values:
     return batch.solve(
-        graph, values, max_iterations=_ITERATIONS, tolerance_sigma=_ROUGH_SIGMAS, first=graph.chain, exact=False
+        graph, values, max_iterations=_ITERATIONS, tolerance_sigma=sigmas, first=graph.chain, exact=False
     ).values

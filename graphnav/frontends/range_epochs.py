@@ -6,7 +6,7 @@ Anchors answer in turn, so the ranges of an epoch are up to `span_s` apart and t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,9 @@ UNKNOWN_M = 100.0
 _SPAN_S, _VOTE_S = 0.1, 20.0
 #: Without a rest at the start, the seconds of ranges that give the first position.
 _FIRST_S = 1.0
+
+
+Rows = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,10 @@ class RangeEpochs:
     t_s: Array
     ranges_m: Array
     lever_arm_b: Array
+
+    def only(self, rows: Rows) -> RangeEpochs:
+        """Some of them."""
+        return replace(self, t_s=self.t_s[rows], ranges_m=self.ranges_m[rows], lever_arm_b=self.lever_arm_b[rows])
 
 
 def total_sigma(uwb: Uwb) -> Array:
@@ -195,7 +202,8 @@ def start_position(log: SensorLog, rotation_nb: Array, start_s: float, rest_s: A
     now = (epochs.t_s <= until) & (epochs.lever_arm_b == epochs.lever_arm_b[0]).all(axis=1)
     answers = [column[np.isfinite(column)] for column in epochs.ranges_m[now].T]
     ranges = np.array([np.median(column) if len(column) else np.nan for column in answers])
-    near = np.median(positions(epochs).pos_n[now], axis=0)
+    early = np.flatnonzero(epochs.t_s <= until + _VOTE_S / 2)
+    near = np.median(positions(epochs.only(early)).pos_n[now[early]], axis=0)
     calm = uwb.rest_factor if resting else 1.0
     span = max(until - first, 1e-3)
     shared = min(1.0, 2 * (uwb.markov_time_s or 0.0) / span) * (uwb.markov_sigma_m or 0.0) ** 2

@@ -170,24 +170,27 @@ def _residual(pos: Array, anchors: Array, ranges: Array) -> tuple[Array, Array]:
 
 def _least_squares(pos: Array, anchors: Array, ranges: Array, weight: Array) -> tuple[Array, Array, Mask]:
     """Levenberg-Marquardt from a start (E, 3): positions, costs and whether they came to rest."""
-    damping, settled = np.full(len(pos), 1e-3), np.zeros(len(pos), bool)
-    error, direction = _residual(pos, anchors, ranges)
-    cost = np.sum(weight * error**2, axis=1)
+    pos, cost, damping = pos.copy(), np.empty(len(pos)), np.full(len(pos), 1e-3)
+    left = np.arange(len(pos))  # epochs that still move
     for _ in range(_ITERATIONS):
-        information = np.einsum("ea,eai,eaj->eij", weight, direction, direction)
-        gradient = np.einsum("ea,eai,ea->ei", weight, direction, error)
-        level = damping * np.trace(information, axis1=1, axis2=2) / 3
+        w, r = weight[left], ranges[left]
+        error, direction = _residual(pos[left], anchors, r)
+        cost[left] = np.sum(w * error**2, axis=1)
+        by_weight = w[..., None] * direction
+        information = np.swapaxes(by_weight, 1, 2) @ direction
+        gradient = np.einsum("eai,ea->ei", by_weight, error)
+        level = damping[left] * np.trace(information, axis1=1, axis2=2) / 3
         step = np.linalg.solve(information + level[:, None, None] * np.eye(3), gradient[..., None])[..., 0]
-        trial_error, trial_direction = _residual(pos + step, anchors, ranges)
-        trial = np.sum(weight * trial_error**2, axis=1)
-        better = trial <= cost
-        settled |= np.linalg.norm(step, axis=1) < _STEP_M
-        pos = np.where(better[:, None], pos + step, pos)
-        error, cost = np.where(better[:, None], trial_error, error), np.where(better, trial, cost)
-        direction = np.where(better[:, None, None], trial_direction, direction)
-        damping = np.clip(np.where(better, damping / 5, damping * 4), 1e-12, 1e6)
-        if settled.all():
+        trial = np.sum(w * _residual(pos[left] + step, anchors, r)[0] ** 2, axis=1)
+        better = trial <= cost[left]
+        pos[left[better]] += step[better]
+        cost[left[better]] = trial[better]
+        damping[left] = np.clip(np.where(better, damping[left] / 5, damping[left] * 4), 1e-12, 1e6)
+        left = left[np.linalg.norm(step, axis=1) >= _STEP_M]
+        if not len(left):
             break
+    settled = np.ones(len(pos), bool)
+    settled[left] = False
     return pos, cost, settled
 
 
