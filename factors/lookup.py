@@ -23,3 +23,9 @@ def vectors(values: gtsam.Values, keys: npt_int) -> Array:
     """(K, size) of vector values of one size."""
     different, which = np.unique(keys, return_inverse=True)
     return np.array([values.atVector(key) for key in different.tolist()])[which]
+
+
+def biases(values: gtsam.Values, keys: npt_int) -> Array:
+    """(K, 6) of IMU biases, accelerometer first."""
+    different, which = np.unique(keys, return_inverse=True)
+    return np.array([values.atConstantBias(key).vector() for key in different.tolist()])[which]

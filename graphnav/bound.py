@@ -16,10 +16,11 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.known import known_factor
 from factors.so3 import Array, from_quaternion
 from graphnav import _metrics as metrics
 from graphnav._stages import ProgressHook, Stages
@@ -34,6 +35,7 @@ from graphnav.log import SensorLog, Truth
 from graphnav.outcome import covariances, estimated_biases, smoothed_trajectory
 from graphnav.preintegration import preintegrate
 from graphnav.problem import L, Problem, V, X
+from graphnav.ranges import RangeReadings, range_readings
 from graphnav.smooth import posed
 from graphnav.solution import Solved, solve_batch
 from graphnav.solvers.batch import BatchResult
@@ -84,7 +86,7 @@ def bound(log: SensorLog | str | Path, config: Config | None = None, progress: P
     solved.result = replace(solved.result, bayes_tree=None)  # large, and another one follows
     with stages.stage("covariance") as tick:
         values = _with_states(problem, solved.result.values, pos, quat, vel)
-        limit = _at_truth(problem, values, *_along(problem, solved, values), tick)
+        limit = _at_truth(problem, solved, values, tick)
     return Bound(log.name, limit, evaluate(estimate, log))
 
 
@@ -138,27 +140,37 @@ def _named(readings: LegReadings) -> list[tuple[int, int]]:
     return list(zip(readings.keyframe.tolist(), readings.feature[readings.leg].tolist(), strict=True))
 
 
+def _ranges(problem: Problem, solved: Solved, values: gtsam.Values) -> RangeReadings | None:
+    """The ranges that the smoother used, carried with the biases in `values`."""
+    readings = range_readings(problem, *estimated_biases(problem, values))
+    if readings is None or solved.ranges_left_out is None:
+        return readings
+    return readings.only(~np.isin(readings.row, solved.ranges_left_out.row))
+
+
 def _graph(
-    problem: Problem, values: gtsam.Values, legs: LegReadings | None, advances: AdvanceFamily | None
+    problem: Problem,
+    solved: Solved,
+    values: gtsam.Values,
+    legs: LegReadings | None,
+    advances: AdvanceFamily | None,
 ) -> SmoothingGraph:
     """The problem, preintegrated at the biases in `values`."""
-    graph = build_graph(problem, preintegrate(problem, *estimated_biases(problem, values)), legs, advances)
+    data = preintegrate(problem, *estimated_biases(problem, values))
+    graph = build_graph(problem, data, legs, advances, _ranges(problem, solved, values))
     lidar = problem.log.lidar
     return graph if legs is None or lidar is None else graph.only_legs(legs, lidar)
 
 
 def _at_truth(
-    problem: Problem,
-    values: gtsam.Values,
-    legs: LegReadings | None,
-    advances: AdvanceFamily | None,
-    tick: Callable[[float, float], None] | None,
+    problem: Problem, solved: Solved, values: gtsam.Values, tick: Callable[[float, float], None] | None
 ) -> Trajectory:
     """The states of `values` with the inverse information as their covariance, all else at its best given them."""
-    graph = _graph(problem, values, legs, advances)
+    legs, advances = _along(problem, solved, values)
+    graph = _graph(problem, solved, values, legs, advances)
     for _ in range(_STEPS if legs is None else _STEPS_WITH_LEGS):
         values = values.retract(_rest_given_states(graph.linearize(values), values))
-    graph = _graph(problem, values, legs, advances)
+    graph = _graph(problem, solved, values, legs, advances)
     tree, order = elimination(graph.linearize(values), graph.chain)
     blocks = covariances(problem, BatchResult(values, tree, (), True, order), tick)
     return replace(smoothed_trajectory(problem, values, blocks), bridge=None)
@@ -175,15 +187,14 @@ def _rest_given_states(linear: gtsam.GaussianFactorGraph, values: gtsam.Values) 
         if all(_is_state(key) for key in keys):
             continue
         matrix, right = factor.jacobian()
-        parts: list[Any] = []
-        at = 0
+        left, blocks, at = list[int](), list[Array](), 0
         for key in keys:
             end = at + len(sizes.at(key))
             if not _is_state(key):
-                parts += [key, matrix[:, at:end]]
+                left.append(key)
+                blocks.append(matrix[:, at:end])
             at = end
-        parts += [right, gtsam.noiseModel.Unit.Create(len(right))]
-        reduced.push_back(gtsam.JacobianFactor(*parts))
+        reduced.push_back(known_factor(left, blocks, -right).linearize(values))
     return eliminate(reduced, gtsam.Ordering.ColamdGaussianFactorGraph(reduced)).optimize()
 
 

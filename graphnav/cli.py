@@ -129,7 +129,7 @@ def _add_import(group: Any) -> None:
 
 
 def _add_simulate(group: Any) -> None:
-    text = "Simulate a reference scenario, truth included: shearer-mems, full-shift, shearer-lidar."
+    text = "Simulate a reference scenario, truth included: shearer-mems, full-shift, shearer-lidar, face-end-uwb."
     example = "graphnav simulate shearer-mems --seed 11 -o shift/"
     parser = _command(group, "simulate", commands.simulate, text, example)
     parser.add_argument("scenario", metavar="SCENARIO")
@@ -146,6 +146,11 @@ def _add_simulate(group: Any) -> None:
     parser.add_argument("--scans", action=argparse.BooleanOptionalAction, help=scans)
     drawn = "shearer-lidar: draw the errors that are the paper's fixed values by default"
     parser.add_argument("--draw", action="store_const", const=True, help=drawn)
+    parser.add_argument("--site", metavar="SITE", help="face-end-uwb: surface or underground (default)")
+    delayed = "face-end-uwb: share of ranges that come late, 0 to 1"
+    parser.add_argument("--nlos-share", type=float, metavar="X", help=delayed)
+    most = "face-end-uwb: they are late by up to so much (default 3)"
+    parser.add_argument("--nlos-max", "--nlos-max-m", dest="nlos_max_m", type=float, metavar="M", help=most)
 
 
 def _add_smooth(group: Any) -> None:

@@ -79,7 +79,7 @@ def simulate(arguments: argparse.Namespace) -> None:
     from graphnav.report.terminal import working
     from graphnav.simulation import simulate as simulate_log
 
-    names = ("interval_m", "par", "hours", "sensors", "cycles", "scans", "draw")
+    names = ("interval_m", "par", "hours", "sensors", "cycles", "scans", "draw", "site", "nlos_share", "nlos_max_m")
     given = {name: getattr(arguments, name) for name in names}
     options = {name: value for name, value in given.items() if value is not None}
     if "sensors" in options:

@@ -118,6 +118,17 @@ class LidarConfig(_Section):
     advances: bool = Field(True, description="legs of successive cycles are tied by the push of their support")
 
 
+class UwbConfig(_Section):
+    """UWB ranges."""
+
+    use: bool = True
+    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
+        "geman-mcclure", description="how ranges that disagree are found; none: all count in full"
+    )
+    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
+    reject_sigmas: float = Field(4.0, gt=0, description="ranges that are off by more are left out in the end")
+
+
 class FilterConfig(_Section):
     """The error-state Kalman filter of the methods ekf, rts and rts-online."""
 
@@ -148,6 +159,20 @@ class LidarFilterConfig(_Section):
     height_walk_m_sqrt_s: float = Field(1e-3, gt=0, description="random walk of the height at which it is seen")
 
 
+class UwbFilterConfig(_Section):
+    """The IMU/UWB paper's filters: the methods imu-uwb, and those that end in vbukf."""
+
+    bias_time_s: float | None = Field(
+        None, gt=0, description="time constant of the Gauss-Markov biases; left out: as their declared walk tells"
+    )
+    gate_sigmas: float | None = Field(None, gt=0, description="ranges farther off are left out; the paper has no gate")
+    inflate: bool = Field(
+        False, description="ranges with Markov errors count as seldom as these renew; the paper takes them for white"
+    )
+    accel_density_m_s2_sqrt_hz: float = Field(0.01, gt=0, description="what drives the velocity in the VB-UKF")
+    noise_memory_s: float = Field(10.0, gt=0, description="span over which the VB-UKF learns the noise")
+
+
 class DeadReckoningConfig(_Section):
     """What dead reckoning is told of the sensors' errors."""
 
@@ -167,10 +192,12 @@ class Config(_Section):
     closed_path: ClosedPathConfig = ClosedPathConfig()
     position: PositionConfig = PositionConfig()
     lidar: LidarConfig = LidarConfig()
+    uwb: UwbConfig = UwbConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()
     lidar_filter: LidarFilterConfig = LidarFilterConfig()
+    uwb_filter: UwbFilterConfig = UwbFilterConfig()
     dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
     covariance: bool = Field(True, description="covariances at all keyframes")
 

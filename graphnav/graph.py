@@ -11,12 +11,14 @@ from factors import closed_path, inertial, odometry, position, stationary
 from factors.advance import AdvanceFamily
 from factors.legs import LegFamily
 from factors.noise import diagonal
+from factors.ranging import RangeFamily
 from factors.so3 import from_quaternion
 from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings
 from graphnav.log import InitialState, Lidar
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
+from graphnav.ranges import RangeReadings, RangeStates
 
 if TYPE_CHECKING:
     import gtsam
@@ -32,7 +34,7 @@ class FactorAt:
 
 @dataclass(frozen=True)
 class SmoothingGraph:
-    """The whole problem as batch solvers see it: native factors, and the odometer's and LiDAR's as arrays.
+    """The whole problem as batch solvers see it: native factors, and the odometer's, LiDAR's and UWB's as arrays.
 
     Attributes
     ----------
@@ -44,6 +46,7 @@ class SmoothingGraph:
     legs: LegFamily | None = None
     advances: AdvanceFamily | None = None
     chain: list[int] | None = None
+    ranges: RangeFamily | None = None
 
     def only_legs(self, readings: LegReadings, lidar: Lidar) -> SmoothingGraph:
         """With only some of its readings; legs left without keep their variables."""
@@ -58,11 +61,17 @@ class SmoothingGraph:
             self.legs.linearize_into(linear, values)
         if self.advances is not None:
             self.advances.linearize_into(linear, values)
+        if self.ranges is not None:
+            self.ranges.linearize_into(linear, values)
         return linear
 
 
 def build_graph(
-    problem: Problem, data: Preintegrated, legs: LegReadings | None = None, advances: AdvanceFamily | None = None
+    problem: Problem,
+    data: Preintegrated,
+    legs: LegReadings | None = None,
+    advances: AdvanceFamily | None = None,
+    ranges: RangeReadings | None = None,
 ) -> SmoothingGraph:
     """The problem for a batch solver."""
     import gtsam
@@ -72,6 +81,9 @@ def build_graph(
     for found in _common_factors(problem, data):
         native.add(found.factor)
         tied.update(_crossed(found))
+    if ranges is not None:
+        for _, factor in RangeStates.of(problem, ranges).factors(problem):
+            native.add(factor)
     family, chain = None, None
     if legs is not None and problem.log.lidar is not None:
         family = legs.family(problem.log.lidar)
@@ -80,7 +92,9 @@ def build_graph(
             native.add(prior)
         tied.update(family.pose_key.tolist())
         chain = [key for i in range(len(problem.keyframe_s)) if X(i) not in tied for key in (V(i), X(i))]
-    return SmoothingGraph(native, displacement_family(problem, data), family, advances, chain)
+    return SmoothingGraph(
+        native, displacement_family(problem, data), family, advances, chain, None if ranges is None else ranges.family
+    )
 
 
 def build_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:

@@ -15,6 +15,7 @@ from factors.odometry import Travel
 from factors.so3 import Array
 from graphnav.baselines.dead_reckoning import turned, walked
 from graphnav.frontends.alignment import aligned
+from graphnav.frontends.range_epochs import fixes_by_ranges, is_unknown, start_position
 from graphnav.log import SensorLog
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
@@ -86,16 +87,22 @@ def start_state(problem: Problem) -> tuple[States, Array]:
         problem.imu.samples, problem.frontend.rest_s, initial, problem.noise, problem.gravity_m_s2,
         problem.earth_rate_n,
     )  # fmt: skip
-    return States(rotation[None], initial.pos_n_m[None], initial.vel_n_m_s[None]), bias
+    pos = initial.pos_n_m
+    if is_unknown(initial):
+        pos, _ = start_position(problem.log, rotation, float(problem.keyframe_s[0]), problem.frontend.rest_s)
+    return States(rotation[None], pos[None], initial.vel_n_m_s[None]), bias
 
 
 def initial_values(problem: Problem, data: Preintegrated, start: States) -> gtsam.Values:
     """Dead-reckoned states, preintegration biases and zero calibration as GTSAM values."""
     import gtsam
 
+    fixes = problem.frontend.fixes
+    if data.travel is None and len(fixes) < 4 and problem.frontend.ranging:
+        fixes = fixes_by_ranges(problem.log, start.rotation_nb[0]) or fixes
     states = dead_reckoning(
-        problem.log, problem.keyframe_s, data.motion, data.travel, start, problem.frontend.fixes,
-        problem.gravity_m_s2, problem.earth_rate_n,
+        problem.log, problem.keyframe_s, data.motion, data.travel, start, fixes, problem.gravity_m_s2,
+        problem.earth_rate_n,
     )  # fmt: skip
     values = gtsam.Values()
     for i in range(len(problem.keyframe_s)):

@@ -11,6 +11,7 @@ from graphnav._schema import Array
 from graphnav.config import Config
 from graphnav.errors import LogError
 from graphnav.frontends.cutting_cycles import ClosedPathPoint, Cycle, closed_path_points, find_cycles, mileage
+from graphnav.frontends.ranging_spans import RangingSpan, ranging_keyframes, ranging_spans
 from graphnav.frontends.rest import rest_spans
 from graphnav.log import SensorLog
 
@@ -30,6 +31,7 @@ class Frontend:
     cycles, closed_path : cutting cycles and closed-path points.
     rest_s : (K, 2) spans at rest.
     fixes : (time, position (3,), sigma (3,)) of absolute positions and surveyed points.
+    ranging : spans of UWB ranges.
     """
 
     keyframe_s: Array
@@ -37,6 +39,7 @@ class Frontend:
     closed_path: tuple[ClosedPathPoint, ...]
     rest_s: Array
     fixes: tuple[tuple[float, Array, Array], ...]
+    ranging: tuple[RangingSpan, ...] = ()
 
     def index(self, t_s: float) -> int:
         """The keyframe nearest to a time."""
@@ -67,10 +70,13 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
         wanted += [t for c in cycles for t in (c.start_s, c.end_s) if t is not None]
     if log.imu is None and log.lidar_points is not None and log.lidar is not None and config.lidar.use:
         wanted += np.unique(log.lidar_points.t_s).tolist()
+    ranging = () if log.uwb is None or not config.uwb.use else ranging_spans(log.uwb, start, end)
+    if log.uwb is not None:
+        wanted += ranging_keyframes(log.uwb, ranging, config.keyframes.interval_s).tolist()
     times = place_keyframes(start, end, np.array(wanted, float), config, log)
     found = rest_spans(log) if rest_s is None and config.rest.use else rest_s
     rest = found if found is not None and config.rest.use else np.zeros((0, 2))
-    return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes)
+    return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes, ranging)
 
 
 def _record(log: SensorLog) -> tuple[float, float]:

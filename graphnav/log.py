@@ -57,20 +57,35 @@ class Frames(Record):
             raise self.error(f"{self.gravity_m_s2}, expected 9.7 to 9.9 m/s^2", column="gravity_m_s2")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class InitialState(Record):
-    """State at the start of the first IMU row's interval, with 1-sigma."""
+    """State at the start of the first IMU row's interval, with 1-sigma.
+
+    Without `pos_n_m` and `pos_sigma_m` the position is unknown: zeros, with a sigma of 1000 m.
+    """
 
     SECTION: ClassVar[str] = "initial"
-    pos_n_m: Array = param(shape=(3,))
-    pos_sigma_m: Array = param(shape=(3,), positive=True)
+    UNKNOWN_M: ClassVar[float] = 100.0
+    pos_n_m: Array = param(None, shape=(3,))
+    pos_sigma_m: Array = param(None, shape=(3,), positive=True)
     quat_nb_wxyz: Array = param(shape=(4,))
     att_sigma_deg: Array = param(shape=(3,), positive=True)
     vel_n_m_s: Array = param(shape=(3,))
     vel_sigma_m_s: Array = param(shape=(3,), positive=True)
     static_until_s: float | None = param(None)
 
+    @property
+    def pos_known(self) -> bool:
+        """Whether the position is declared to better than 100 m; if not, measurements have to give it."""
+        return bool((self.pos_sigma_m < self.UNKNOWN_M).all())
+
     def __post_init__(self) -> None:
+        missing = [getattr(self, name) is None for name in ("pos_n_m", "pos_sigma_m")]
+        if any(missing) and not all(missing):
+            raise self.error("pos_n_m and pos_sigma_m belong together", fix="declare both, or neither")
+        if all(missing):
+            object.__setattr__(self, "pos_n_m", np.zeros(3))
+            object.__setattr__(self, "pos_sigma_m", np.full(3, 1000.0))
         super().__post_init__()
         unit_quaternion(self, "quat_nb_wxyz")
 

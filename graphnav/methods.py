@@ -10,9 +10,15 @@ METHODS = {
     "rts-online": "the same, smoothed at each end of the face over the cycle just cut",
     "ekf": "error-state Kalman filter alone: each keyframe from the past",
     "lidar-ekf": "the INS/LiDAR paper's Kalman filter: support legs and no odometer",
+    "uwb": "a position from every epoch of UWB ranges",
+    "uwb-vbukf": "the same, smoothed by the IMU/UWB paper's adaptive filter",
+    "imu-uwb": "the IMU/UWB paper's Kalman filter: squared ranges and no odometer",
+    "imu-uwb-vbukf": "the same, its positions smoothed by the paper's adaptive filter",
     "dead-reckoning": "the gyro's attitude and the odometer's distance",
     "dead-reckoning-cpoem": "dead reckoning corrected at closed-path points",
 }
 GRAPH_METHODS = ("batch", "isam2")
 #: What is of no use without detections of legs.
 LEG_METHODS = ("lidar-ekf",)
+#: What is of no use without UWB ranges.
+UWB_METHODS = ("uwb", "uwb-vbukf", "imu-uwb", "imu-uwb-vbukf")

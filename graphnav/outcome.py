@@ -11,7 +11,8 @@ from graphnav.keyframes import SAME_S
 from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.log import Lidar
-from graphnav.problem import B, C, D, K, Problem, V, X, creep_cycles
+from graphnav.problem import A, B, C, D, K, Problem, V, X, creep_cycles
+from graphnav.ranges import slots
 from graphnav.run import (
     ACCEL_NAMES,
     DEG_H,
@@ -33,9 +34,8 @@ if TYPE_CHECKING:
 
     import gtsam
 
-#: Sizes of the variables by the letter of their key.
-_DIMS = {ord(letter): size for letter, size in zip("xvbckld", (6, 3, 6, 4, 1, 4, 8), strict=True)}
-
+#: Sizes of the variables by the letter of their key; the Markov errors of ranges have that of the problem.
+_DIMS = {ord(letter): size for letter, size in zip("xvbcklda", (6, 3, 6, 4, 1, 4, 8, 4), strict=True)}
 
 #: Share of the detections that may be left out without a word, and sigmas at which a calibration is far off.
 _FEW, _FAR = 1e-3, 6.0
@@ -55,8 +55,22 @@ def covariances(
         groups[K(c)] = (K(c),)
     if result.values.exists(D(0)):
         groups[D(0)] = (D(0),)
+    for a in _anchors(problem, result.values):
+        groups[A(a)] = (A(a),)
     assert result.bayes_tree is not None
-    return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[key >> 56], groups, progress)
+    return joint_marginals(result.bayes_tree, result.order, _size(problem), groups, progress)
+
+
+def _size(problem: Problem) -> Callable[[int], int]:
+    """Size of the variable of a key."""
+    sizes = _DIMS | {ord("m"): slots(problem)}
+    return lambda key: sizes[key >> 56]
+
+
+def _anchors(problem: Problem, values: gtsam.Values) -> list[int]:
+    """The anchors that were heard."""
+    uwb = problem.log.uwb
+    return [] if uwb is None else [a for a in range(len(uwb.anchor)) if values.exists(A(a))]
 
 
 def stops(problem: Problem, result: BatchResult) -> Stops | None:
@@ -68,7 +82,7 @@ def stops(problem: Problem, result: BatchResult) -> Stops | None:
     scanner = result.values.exists(D(0))
     keys = [X(int(i)) for i in rows] + [D(0)] * scanner
     assert result.bayes_tree is not None
-    cov = joint_covariance(result.bayes_tree, result.order, lambda key: _DIMS[key >> 56], keys)
+    cov = joint_covariance(result.bayes_tree, result.order, _size(problem), keys)
     poses = [result.values.atPose3(X(int(i))) for i in rows]
     to_n = np.eye(len(cov))
     for k, pose in enumerate(poses):
@@ -135,6 +149,9 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
     put(key, values.atConstantBias(key).vector(), [*ACCEL_NAMES, *GYRO_NAMES])
     if values.exists(D(0)):
         put(D(0), values.atVector(D(0)), LIDAR_NAMES)
+    for a in _anchors(problem, values):
+        assert problem.log.uwb is not None
+        put(A(a), values.atVector(A(a)), [(f"uwb_bias_{problem.log.uwb.anchor[a].id}", 1.0, "m")])
     for c in creep_cycles(problem):
         put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
     return found

@@ -1,8 +1,9 @@
 """The smoothing problem: what stays fixed while solving, and the keys of its variables.
 
 Variables: ``X(i)`` pose T_nb and ``V(i)`` velocity at keyframe i, ``B(e)`` IMU bias and ``C(e)`` odometer calibration
-[scale, mounting angles] in epochs, ``K(c)`` creep after cycle c. Epochs keep every variable's number of factors
-bounded.
+[scale, mounting angles] in epochs, ``K(c)`` creep after cycle c, ``L(j)`` and ``D(e)`` the LiDAR's legs and
+calibration, ``A(a)`` and ``M(i)`` errors of UWB anchors and of their ranges. Epochs keep every
+variable's number of factors bounded.
 """
 
 from __future__ import annotations
@@ -50,6 +51,16 @@ def K(c: int) -> int:
 def L(j: int) -> int:
     """Key of the place of leg j."""
     return _symbol("l", j)
+
+
+def A(a: int) -> int:
+    """Key of the errors of UWB anchor a: of its ranges, and of where it stands."""
+    return _symbol("a", a)
+
+
+def M(i: int) -> int:
+    """Key of the Markov errors of ranges at keyframe i."""
+    return _symbol("m", i)
 
 
 def D(e: int) -> int:

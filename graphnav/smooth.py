@@ -21,7 +21,7 @@ from graphnav.frontends.rest import rest_spans
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
-from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS
+from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, UWB_METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.run import Diagnostics, Run
@@ -58,6 +58,10 @@ def smooth(
         raise ConfigError(f'unknown method "{method}"; known: {", ".join(METHODS)}')
     stages = Stages(progress)
     log = _opened(log, stages)
+    if method in ("uwb", "uwb-vbukf"):
+        from graphnav.ranged import run_ranges
+
+        return run_ranges(log, config or Config(), method, stages)
     if log.imu is None and log.relative_pose is not None:
         from graphnav.chained import run_chain
 
@@ -69,6 +73,10 @@ def smooth(
         from graphnav.leg_filtered import run_leg_filter
 
         return run_leg_filter(problem, method, stages)
+    if method in UWB_METHODS:
+        from graphnav.ranged import run_range_filter
+
+        return run_range_filter(problem, method, stages)
     from graphnav.filtered import run_baseline
 
     return run_baseline(problem, method, stages)

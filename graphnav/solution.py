@@ -5,7 +5,7 @@ biases moved too far.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +22,8 @@ from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.outcome import estimated_biases
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem
+from graphnav.range_agreement import agreeing_ranges
+from graphnav.ranges import RangeReadings, RangeStates, range_readings
 from graphnav.solvers import absolute, batch, incremental
 
 if TYPE_CHECKING:
@@ -44,6 +46,7 @@ class Solved:
     data : the condensed sensor data that it was solved with.
     biases_moved : whether the biases still moved at the end.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
+    ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
     advances : pairs of legs tied by the push of their support, or None.
     causal : the states that an incremental solver knew from the past alone, or None.
     """
@@ -53,6 +56,8 @@ class Solved:
     biases_moved: bool
     legs: LegReadings | None = None
     legs_left_out: LegReadings | None = None
+    ranges: RangeReadings | None = None
+    ranges_left_out: RangeReadings | None = None
     advances: AdvanceFamily | None = None
     causal: States | None = None
 
@@ -71,7 +76,7 @@ def solve_batch(problem: Problem, stages: Stages) -> Solved:
 def _without_legs(problem: Problem, stages: Stages, data: Preintegrated, values: gtsam.Values) -> gtsam.Values:
     """Roughly what the other sensors say: readings are brought together along a path right over a few seconds."""
     with stages.stage("assemble"):
-        graph = build_graph(problem, data)
+        graph = build_graph(problem, data, ranges=_range_readings(problem, data, values))
     with stages.stage("solve"):
         most = problem.config.batch.max_iterations
         return batch.solve(graph, values, max_iterations=most, tolerance_sigma=_ROUGH_SIGMAS, exact=False).values
@@ -115,10 +120,15 @@ def _solve_rounds(
         with stages.stage("assemble"):
             readings = _leg_readings(problem, data, values)
             advances = None if readings is None else leg_advances(problem, readings, values)
-            graph = build_graph(problem, data, readings, advances)
+            ranges, ranges_left_out = _range_readings(problem, data, values), None
+            graph = build_graph(problem, data, readings, advances, ranges)
             for factor in predicted:
                 graph.native.add(factor)
         with stages.stage("solve") as tick:
+            if ranges is not None and problem.config.uwb.loss != "none":
+                values, fit = agreeing_ranges(graph, problem.config.uwb, values)
+                ranges_left_out, ranges = ranges.only(~fit), ranges.only(fit)
+                graph = replace(graph, ranges=ranges.family)
             result = _solved(problem, graph, values, tick, _COMPROMISE if readings is not None else None)
             if problem.config.closed_path.form == "absolute" and not predicted:
                 result = absolute.solve_cycle_by_cycle(problem, graph, result)
@@ -141,7 +151,7 @@ def _solve_rounds(
             data = _preintegrate(problem, gyro, accel, tick)
             values = result.values
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return Solved(result, data, moved, readings, left_out, advances)
+    return Solved(result, data, moved, readings, left_out, ranges, ranges_left_out, advances)
 
 
 def _solved(
@@ -174,6 +184,14 @@ def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -
     for j, place_n in enumerate(readings.place_n):
         if not values.exists(L(j)):
             values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
+    return readings
+
+
+def _range_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -> RangeReadings | None:
+    """UWB ranges, whose variables are added to the values."""
+    readings = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
+    if readings is not None:
+        RangeStates.of(problem, readings).insert(problem, values)
     return readings
 
 

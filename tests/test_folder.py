@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sample_logs import every_sensor_log, odometer_params, small_log
+from sample_logs import every_sensor_log, initial, odometer_params, small_log
 
 from graphnav import log as gl
 from graphnav.errors import LogError
@@ -48,6 +48,17 @@ def test_a_log_comes_back_to_the_last_bit(tmp_path, make, ending):
     written = {p.name for p in (tmp_path / "log").iterdir()}
     scans = {"lidar_scans.parquet"} if log.lidar_scans is not None else set()
     assert written == {"log.toml"} | {f"{t}.{ending}" for t in log.tables() if t != "lidar_scans"} | scans
+
+
+def test_a_start_without_position_is_read(tmp_path):
+    log = dataclasses.replace(small_log(), initial=initial(pos_n_m=None, pos_sigma_m=None))
+    write(log, tmp_path / "log")
+    assert_same(log, read(tmp_path / "log"))
+    text = (tmp_path / "log" / "log.toml").read_text()
+    without = "\n".join(line for line in text.splitlines() if not line.startswith("pos_"))
+    assert without != text
+    (tmp_path / "log" / "log.toml").write_text(without)
+    assert_same(log, read(tmp_path / "log"))
 
 
 @given(values=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=20))

@@ -128,6 +128,18 @@ def test_uwb_ranges_need_declared_tags_and_anchors():
         gl.Uwb(tag_id=["t", "t"], anchor_id=["7", "8"], **values)
 
 
+def test_a_start_without_position_is_unknown():
+    unknown = initial(pos_n_m=None, pos_sigma_m=None)
+    assert unknown.pos_n_m.tolist() == [0, 0, 0]
+    assert unknown.pos_sigma_m.tolist() == [1000, 1000, 1000]
+    assert not unknown.pos_known
+    assert not initial(pos_sigma_m=[1, 1, 100]).pos_known
+    assert initial(pos_sigma_m=[99, 99, 99]).pos_known
+    for alone in ("pos_n_m", "pos_sigma_m"):
+        with pytest.raises(LogError, match=r"\[initial\]: pos_n_m and pos_sigma_m belong together; declare both"):
+            initial(**{alone: None})
+
+
 def test_replace_checks_again():
     record = small_log().odometer
     assert record.replace(sigma_m_s=0.5).sigma_m_s == 0.5

@@ -70,6 +70,7 @@ FLOORS = (
         "graphnav.solution",
         "graphnav.filtered",
         "graphnav.leg_filtered",
+        "graphnav.ranged",
         "graphnav.chained",
         "graphnav.analysis",
         "graphnav.compare",

@@ -12,6 +12,7 @@ from factors.earth import EARTH_RATE_RAD_S
 from graphnav._schema import Array
 from graphnav.errors import LogError
 from graphnav.frontends import quiet, spans
+from graphnav.frontends.still import still
 from graphnav.log import Imu, Odometer, SensorLog
 
 _WINDOW_S = 1.0
@@ -30,7 +31,8 @@ def rest_spans(log: SensorLog, *, min_length_s: float = 2.0, trim_s: float = 0.3
     With an odometer, its mean speed over windows of at least 1 s decides, and where there is an IMU its gyro
     and accelerometer must be as quiet there as they are in the odometer's standstills at large. From the IMU
     alone rest must last 3 s, show nothing but the declared noise, and stand out clearly against the motion in
-    the log; smooth travel at constant speed cannot otherwise be told from it. The span declared by
+    the log; smooth travel at constant speed cannot otherwise be told from it. Where a rest is declared and there are
+    UWB ranges, it need only be as quiet as that one, if the ranges stay the same. The span declared by
     `initial.static_until_s` is always included.
 
     Parameters
@@ -57,6 +59,10 @@ def rest_spans(log: SensorLog, *, min_length_s: float = 2.0, trim_s: float = 0.3
         found = found[[_mean_is_zero(log.odometer, span) for span in found]] if len(found) else found
     elif log.imu is not None:
         found = spans.shrink(_imu_rest(log.imu), trim_s, max(min_length_s, 3.0))
+        declared = _declared(log)
+        if log.uwb is not None and len(declared):
+            calm = spans.shrink(_quiet_within(log.imu, declared), trim_s, max(min_length_s, 3.0))
+            found = spans.unite(found, still(log.uwb, calm))
     else:
         found = spans.NONE
     return spans.unite(_declared(log), found)

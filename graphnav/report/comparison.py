@@ -29,6 +29,10 @@ _LINES: tuple[tuple[str, Any, float], ...] = (
     ("#E69F00", "-", 1.0),
     (BLACK, ":", 1.0),
     ("#7F7F7F", "-", 1.0),
+    ("#882255", "-", 1.0),
+    ("#332288", "-", 1.0),
+    ("#999933", "-", 1.0),
+    ("#44AA99", (0, (3.0, 1.5)), 1.4),
 )
 #: Methods whose errors differ by more than this factor share no linear axis.
 _SPREAD = 8.0

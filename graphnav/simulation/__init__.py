@@ -2,8 +2,9 @@
 
 ``simulate("shearer-mems", seed=11)`` returns a `SensorLog` with its truth; the same seed and options give the
 same log. Every error is zero-mean normal with exactly the sigma that the log declares, unless the scenario fixes its
-value: shearer-lidar has the fixed errors of its paper, of the size of the declared sigmas. What a log does not tell of
-the supports beside the machine is in `graphnav.simulation.supports.supports_truth`.
+value: shearer-lidar has the fixed errors of its paper, of the size of the declared sigmas, and face-end-uwb delays some
+ranges. What a log does not tell of the supports beside the machine is in `graphnav.simulation.supports.supports_truth`,
+what it does not tell of the ranges in `graphnav.simulation.uwb_truth.uwb_truth`.
 """
 
 from __future__ import annotations
@@ -37,6 +38,14 @@ SCENARIOS: dict[str, dict[str, Any]] = {
             "draw": "draw mounting, initial attitude and LiDAR errors in place of the paper's fixed values",
         },
     },
+    "face-end-uwb": {
+        "description": "MEMS IMU and UWB ranges on a shearer that drives 7 m past four anchors at the face end",
+        "options": {
+            "site": "surface or underground (default), where dust and steel make the ranges worse",
+            "nlos_share": "share of ranges with a delay that the log does not tell, 0 (default) to 1",
+            "nlos_max_m": "the delay is uniform up to this, 3 (default)",
+        },
+    },
 }
 
 
@@ -55,10 +64,14 @@ def simulate(scenario: str, seed: int = 0, **options: Any) -> SensorLog:
         Unknown scenario or option, a value out of range, or a sensor that is not available yet.
     """
     from graphnav.errors import ConfigError
+    from graphnav.simulation.face_end import simulate_face_end
     from graphnav.simulation.scenarios import resolve
     from graphnav.simulation.shearer import simulate_shearer
+    from graphnav.simulation.uwb_figures import FaceEndSpec
 
     spec = resolve(scenario, options)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigError(f"seed = {seed!r}, expected a whole number of zero or more")
+    if isinstance(spec, FaceEndSpec):
+        return simulate_face_end(scenario, spec, seed, options=options)
     return simulate_shearer(scenario, spec, seed, options=options)

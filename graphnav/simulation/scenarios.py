@@ -7,47 +7,29 @@ chosen is listed per scenario in `graphnav.simulation.SCENARIOS`.
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from graphnav.errors import ConfigError
 from graphnav.simulation.lidar_figures import LidarSpec
-
-Triple = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class ImuGrade:
-    """1-sigma datasheet figures: turn-on biases and white noise."""
-
-    gyro_bias_deg_h: float
-    gyro_random_walk_deg_sqrt_h: float
-    accel_bias_mg: float
-    accel_random_walk_mg_sqrt_hz: float
-
-    def with_added(self, other: ImuGrade) -> ImuGrade:
-        """The grade of two independent errors added: root sum square of each figure."""
-        return ImuGrade(*(math.hypot(getattr(self, n), getattr(other, n)) for n in self.__dataclass_fields__))
+from graphnav.simulation.machine_figures import MEMS_IMU, ImuGrade, MachineSpec, Triple
+from graphnav.simulation.uwb_figures import FaceEndSpec, face_end_uwb
 
 
-@dataclass(frozen=True)
-class ShearerSpec:
+@dataclass(frozen=True, kw_only=True)
+class ShearerSpec(MachineSpec):
     """A shearer scenario in full. Lengths m, times s; sigmas are those drawn from and declared."""
 
     length_m: float
     cycles: int
     push_m: float
     bend_m: float
-    speed_m_s: float
     pause_s: float
     retreat_m: float
     crossing_m: float
     end_work_s: float | None  # None: as long as the oblique cut with `pause_s` takes
     duration_s: float | None  # None: all cycles and `tail_s`
-    imu: ImuGrade
-    att_sigma_deg: Triple
     pos_sigma_m: float
     slip_sigma_m_s: float
     scale_sigma: float
@@ -59,23 +41,15 @@ class ShearerSpec:
     lidar: LidarSpec | None = None
     interval_m: float = 2.0
     sensors: tuple[str, ...] = ("imu", "odometer", "closed-path")
-    vel_sigma_m_s: float = 0.01
     odometer_sigma_m_s: float = 0.01
     push_sigma_m: float = 0.03
     along_sigma_m: float = 0.03
     survey_sigma_m: float = 0.02
-    accel_m_s2: float = 0.1
     heading_deg: float = 17.0
     undulation_m: float = 0.02
     wavelength_m: float = 60.0
     roll_sigma_deg: float = 0.5
-    static_s: float = 60.0
-    tail_s: float = 10.0
-    imu_rate_hz: int = 100
     odometer_rate_hz: int = 10
-    latitude_deg: float = 35.0
-    longitude_deg: float = 116.8
-    gravity_m_s2: float = 9.7973
 
 
 MEMS = ShearerSpec(
@@ -89,7 +63,7 @@ MEMS = ShearerSpec(
     crossing_m=10.0,
     end_work_s=None,
     duration_s=None,
-    imu=ImuGrade(720.0, 0.6, 3.0, 0.08),
+    imu=MEMS_IMU,
     att_sigma_deg=(0.3, 0.3, 1.0),
     pos_sigma_m=0.05,
     slip_sigma_m_s=0.01,
@@ -177,14 +151,15 @@ def shearer_lidar(cycles: int = 6, scans: bool = True, draw: bool = False) -> Sh
     return replace(spec, att_error_deg=None, mounting_deg=None) if draw else spec
 
 
-BUILDERS: Mapping[str, Callable[..., ShearerSpec]] = {
+BUILDERS: Mapping[str, Callable[..., ShearerSpec | FaceEndSpec]] = {
     "shearer-mems": shearer_mems,
     "full-shift": full_shift,
     "shearer-lidar": shearer_lidar,
+    "face-end-uwb": face_end_uwb,
 }
 
 
-def resolve(scenario: str, options: Mapping[str, Any]) -> ShearerSpec:
+def resolve(scenario: str, options: Mapping[str, Any]) -> ShearerSpec | FaceEndSpec:
     """The figures of a scenario with options.
 
     Raises

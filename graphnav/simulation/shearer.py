@@ -11,21 +11,19 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from graphnav.log import (
     Events,
     Face,
     Frames,
     Imu,
-    InitialState,
     Odometer,
     SensorLog,
     SurveyedPoint,
     Truth,
 )
 from graphnav.simulation import sensors as sense
-from graphnav.simulation.motion import Motion
+from graphnav.simulation.imu import samples
 from graphnav.simulation.naming import log_name
 from graphnav.simulation.scanner import Scanner
 from graphnav.simulation.scenarios import ShearerSpec
@@ -53,7 +51,7 @@ def simulate_shearer(
     return SensorLog(
         name=log_name(scenario, options or {}, seed),
         frames=Frames(spec.latitude_deg, spec.longitude_deg, 0.0, spec.gravity_m_s2),
-        initial=_initial(world, errors),
+        initial=world.declared_start(errors.initial_att_rad, errors.initial_vel_m_s, errors.initial_pos_m),
         imu=imu,
         odometer=odometer,
         face=_face(spec) if face else None,
@@ -71,6 +69,7 @@ def _record(
     spec, count = world.spec, world.count
     every = spec.imu_rate_hz // spec.odometer_rate_hz
     truth_every = 1 if count <= _TRUTH_EVERY_SAMPLE_S * spec.imu_rate_hz else every
+    biases = errors.gyro_bias_rad_s, errors.accel_bias_m_s2
     gyro_b, accel_b = np.empty((count, 3)), np.empty((count, 3))
     speeds: list[Array] = []
     rows: list[tuple[Array, Array, Array, Array]] = []
@@ -78,8 +77,7 @@ def _record(
         last = min(first + _BLOCK, count)
         t_s, motion, rot_nm = world.states(first, last)
         rot_nb = world.body(rot_nm)
-        clean = _clean_samples(spec, motion, rot_nb)
-        gyro_b[first:last], accel_b[first:last] = _corrupt(spec, clean, errors, of.imu, on)
+        gyro_b[first:last], accel_b[first:last] = samples(spec, motion, rot_nb, biases, of.imu, on)
         instants = np.arange(first, last + 1)
         new = (instants > first) | (first == 0)  # a block's first state is the last one of the block before
         speeds.append(sense.forward_speed(motion, rot_nm)[new & (instants % every == 0) & (instants > 0)])
@@ -104,37 +102,6 @@ def _record(
             mounting_sigma_deg=np.array(spec.mounting_sigma_deg),
         ),
         Truth(*(np.concatenate(part) for part in zip(*rows, strict=True))),
-    )
-
-
-def _clean_samples(spec: ShearerSpec, motion: Motion, rot_nb: Rotation) -> tuple[Array, Array]:
-    earth_n = sense.earth_rate_n(spec.latitude_deg)
-    return sense.inertial_samples(motion, rot_nb, 1.0 / spec.imu_rate_hz, earth_n, spec.gravity_m_s2)
-
-
-def _corrupt(
-    spec: ShearerSpec, clean: tuple[Array, Array], errors: Errors, rng: np.random.Generator, on: float
-) -> tuple[Array, Array]:
-    """Biases and white noise; the mean over a sample of a white process has density / sqrt(dt)."""
-    grade, root = spec.imu, np.sqrt(spec.imu_rate_hz)
-    white = on * root * rng.standard_normal((len(clean[0]), 6))
-    gyro = sense.gyro_density_si(grade.gyro_random_walk_deg_sqrt_h) * white[:, :3]
-    accel = sense.accel_si(grade.accel_random_walk_mg_sqrt_hz) * white[:, 3:]
-    return clean[0] + errors.gyro_bias_rad_s + gyro, clean[1] + errors.accel_bias_m_s2 + accel
-
-
-def _initial(world: World, errors: Errors) -> InitialState:
-    spec = world.spec
-    _, motion, rot_nm = world.states(0, 0)
-    rot_nb = world.body(rot_nm) * Rotation.from_rotvec(errors.initial_att_rad)
-    return InitialState(
-        pos_n_m=motion.pos_n[0] + errors.initial_pos_m,
-        pos_sigma_m=np.full(3, spec.pos_sigma_m),
-        quat_nb_wxyz=rot_nb[0].as_quat(scalar_first=True),
-        att_sigma_deg=np.array(spec.att_sigma_deg),
-        vel_n_m_s=motion.vel_n[0] + errors.initial_vel_m_s,
-        vel_sigma_m_s=np.full(3, spec.vel_sigma_m_s),
-        static_until_s=spec.static_s,
     )
 
 

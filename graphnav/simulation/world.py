@@ -7,13 +7,16 @@ machine. `Errors` holds what the sensors and the people at the start got wrong.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from graphnav.log import InitialState
 from graphnav.simulation import sensors as sense
+from graphnav.simulation.imu import draw_biases, draw_triple
+from graphnav.simulation.machine_figures import MachineSpec
 from graphnav.simulation.motion import Motion, Timeline, face_timeline
 from graphnav.simulation.path import Line, first_line, pushed_line
 from graphnav.simulation.scenarios import ShearerSpec
@@ -34,6 +37,7 @@ class Streams(NamedTuple):
     points: np.random.Generator
     roadways: np.random.Generator
     scans: np.random.Generator
+    uwb: np.random.Generator
 
 
 def streams(seed: int) -> Streams:
@@ -54,19 +58,17 @@ class Errors:
     survey_m: Array
 
 
-@dataclass(frozen=True)
-class World:
-    """What is true.
+@dataclass(frozen=True, kw_only=True)
+class Machine:
+    """A machine's true motion, a state for every IMU instant.
 
     Attributes
     ----------
-    lines : one per cutting cycle.
     mounting_rad : angles alpha with ``v_m = Exp(alpha) v_b``.
     wobble_rad : ``(N+1, 2)`` pitch and crab at nominal speed, one row per IMU instant from 0 s on.
     """
 
-    spec: ShearerSpec
-    lines: tuple[Line, ...]
+    spec: MachineSpec
     timeline: Timeline
     mounting_rad: Array
     wobble_rad: Array
@@ -85,6 +87,28 @@ class World:
     def body(self, rot_nm: Rotation) -> Rotation:
         """Attitude ``R_nb`` of the IMU."""
         return rot_nm * Rotation.from_rotvec(self.mounting_rad)
+
+    def declared_start(self, att_rad: Array, vel_m_s: Array, pos_m: Array | None = None) -> InitialState:
+        """The start as the log declares it: the true one with these errors, the position unknown without one."""
+        spec, (_, motion, rot_nm) = self.spec, self.states(0, 0)
+        rot_nb = self.body(rot_nm) * Rotation.from_rotvec(att_rad)
+        known = {} if pos_m is None else {"pos_n_m": motion.pos_n[0] + pos_m, "pos_sigma_m": [spec.pos_sigma_m] * 3}
+        return InitialState(
+            quat_nb_wxyz=rot_nb[0].as_quat(scalar_first=True),
+            att_sigma_deg=np.array(spec.att_sigma_deg),
+            vel_n_m_s=motion.vel_n[0] + vel_m_s,
+            vel_sigma_m_s=np.full(3, spec.vel_sigma_m_s),
+            static_until_s=spec.static_s,
+            **known,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class World(Machine):
+    """What is true of a shearer's shift; `lines` are those of the face, one per cutting cycle."""
+
+    spec: ShearerSpec
+    lines: tuple[Line, ...]
 
 
 def build_world(spec: ShearerSpec, geometry: np.random.Generator, machine: np.random.Generator) -> World:
@@ -132,11 +156,11 @@ def build_world(spec: ShearerSpec, geometry: np.random.Generator, machine: np.ra
         mounting = np.deg2rad(spec.mounting_deg)
     sigma_rad = spec.slip_sigma_m_s / spec.speed_m_s
     return World(
-        spec,
-        tuple(lines),
-        timeline,
-        mounting,
-        sense.wobble(machine, count + 1, 1.0 / spec.imu_rate_hz, sigma_rad),
+        spec=spec,
+        lines=tuple(lines),
+        timeline=timeline,
+        mounting_rad=mounting,
+        wobble_rad=sense.wobble(machine, count + 1, 1.0 / spec.imu_rate_hz, sigma_rad),
     )
 
 
@@ -153,17 +177,14 @@ def face_frame(spec: ShearerSpec) -> Array:
 
 def draw_errors(spec: ShearerSpec, rng: np.random.Generator, on: float) -> Errors:
     """Draw with the sigmas that the log declares, times `on` (0: none); what the scenario fixes is drawn in vain."""
-
-    def draw(sigma: Any) -> Array:
-        return on * np.broadcast_to(np.asarray(sigma, float), 3) * rng.standard_normal(3)
-
+    gyro_bias, accel_bias = draw_biases(spec.imu, rng, on)
     drawn = Errors(
-        gyro_bias_rad_s=draw(sense.gyro_si(spec.imu.gyro_bias_deg_h)),
-        accel_bias_m_s2=draw(sense.accel_si(spec.imu.accel_bias_mg)),
+        gyro_bias_rad_s=gyro_bias,
+        accel_bias_m_s2=accel_bias,
         odometer_scale=float(on * spec.scale_sigma * rng.standard_normal()),
-        initial_att_rad=draw(np.deg2rad(spec.att_sigma_deg)),
-        initial_pos_m=draw(spec.pos_sigma_m),
-        initial_vel_m_s=draw(spec.vel_sigma_m_s),
-        survey_m=draw(spec.survey_sigma_m),
+        initial_att_rad=draw_triple(rng, np.deg2rad(spec.att_sigma_deg), on),
+        initial_pos_m=draw_triple(rng, spec.pos_sigma_m, on),
+        initial_vel_m_s=draw_triple(rng, spec.vel_sigma_m_s, on),
+        survey_m=draw_triple(rng, spec.survey_sigma_m, on),
     )
     return drawn if spec.att_error_deg is None else replace(drawn, initial_att_rad=on * np.deg2rad(spec.att_error_deg))

@@ -1,0 +1,220 @@
+"""UWB ranges of a log as factors: carried from the keyframe before each by the IMU, their Markov errors as states.
+
+Each anchor has one variable, its constant error and how far it stands from where it is declared. The Markov errors of
+all anchors of a span are one vector at every keyframe of it, chained by the process's own transition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors import ranging
+from factors.increments import compensated_increments, npt_int
+from factors.inertial import Motion, cumulate
+from factors.noise import diagonal
+from factors.so3 import Array
+from graphnav.leg_means import npt_bool
+from graphnav.log import Uwb
+from graphnav.problem import A, B, M, Problem, V, X
+
+if TYPE_CHECKING:
+    import gtsam
+
+#: Sigma of a constant error that is declared to be none: too small to show.
+_NONE_M = 1e-4
+#: Keyframe intervals worked on at a time.
+_BLOCK = 500
+_SAME_S = 1e-6
+
+
+@dataclass(frozen=True)
+class RangeReadings:
+    """Ranges that take part.
+
+    Attributes
+    ----------
+    row : (K,) of the table uwb; anchor : (K,) index into its anchors.
+    family : the same ranges as factors.
+    """
+
+    row: npt_int
+    anchor: npt_int
+    family: ranging.RangeFamily
+
+    def only(self, rows: npt_int | npt_bool) -> RangeReadings:
+        """Some of them."""
+        return RangeReadings(self.row[rows], self.anchor[rows], self.family.only(rows))
+
+
+def uses_ranges(problem: Problem) -> bool:
+    """Whether ranges take part."""
+    return bool(problem.frontend.ranging) and problem.config.uwb.use
+
+
+def range_readings(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) -> RangeReadings | None:
+    """The log's ranges within the record, carried to their times with the given biases (N-1, 3)."""
+    uwb, keyframe_s = problem.log.uwb, problem.keyframe_s
+    if uwb is None or not uses_ranges(problem):
+        return None
+    rows = np.flatnonzero((uwb.t_s >= keyframe_s[0] - _SAME_S) & (uwb.t_s <= keyframe_s[-1] + _SAME_S))
+    t_s = np.clip(uwb.t_s[rows], keyframe_s[0], keyframe_s[-1])
+    before = np.clip(np.searchsorted(keyframe_s, t_s + _SAME_S, side="right") - 1, 0, len(keyframe_s) - 2)
+    ids, tags = [a.id for a in uwb.anchor], [t.id for t in uwb.tag]
+    anchor = _index(ids, np.asarray(uwb.anchor_id)[rows])
+    tag = _index(tags, np.asarray(uwb.tag_id)[rows])
+    markov = _Markov.of(problem, uwb, t_s, before, anchor)
+    family = ranging.RangeFamily(
+        pose_key=X(0) + before,
+        velocity_key=V(0) + before,
+        bias_key=B(0) + problem.bias_epoch[before],
+        markov_key=markov.key,
+        next_key=markov.next_key,
+        slot=markov.slot,
+        slots=np.full(len(rows), slots(problem)),
+        anchor_key=A(0) + anchor,
+        motion=_carried(problem, t_s, before, gyro_bias_b, accel_bias_b),
+        accel_bias_b=accel_bias_b[before],
+        gyro_bias_b=gyro_bias_b[before],
+        lever_arm_b=np.array([t.lever_arm_b_m for t in uwb.tag])[tag],
+        anchor_n=np.array([a.pos_n_m for a in uwb.anchor])[anchor],
+        range_m=uwb.range_m[rows],
+        sigma_m=markov.sigma_m,
+        markov_m=markov.adds_m,
+        gravity_m_s2=problem.gravity_m_s2,
+        earth_rate_n=problem.earth_rate_n,
+    )
+    return RangeReadings(rows, anchor, family)
+
+
+def slots(problem: Problem) -> int:
+    """Entries of a vector of Markov errors: as many as anchors answer in one span."""
+    return max((len(span.anchors) for span in problem.frontend.ranging), default=0)
+
+
+def _index(known: list[str], names: Array) -> npt_int:
+    order = np.argsort(known)
+    return np.asarray(order[np.searchsorted(np.array(known)[order], names)], np.int64)
+
+
+@dataclass(frozen=True)
+class _Markov:
+    """What the Markov errors have to do with each of K ranges, see `factors.ranging.RangeFamily`."""
+
+    key: npt_int
+    next_key: npt_int
+    slot: npt_int
+    adds_m: Array
+    sigma_m: Array
+
+    @classmethod
+    def of(cls, problem: Problem, uwb: Uwb, t_s: Array, before: npt_int, anchor: npt_int) -> _Markov:
+        rest = problem.frontend.rest_s
+        resting = ((t_s[:, None] >= rest[:, 0]) & (t_s[:, None] <= rest[:, 1])).any(axis=1)
+        calm = np.where(resting, uwb.rest_factor, 1.0)
+        white, none = calm * uwb.sigma_m, np.full(len(t_s), -1, np.int64)
+        if uwb.markov_time_s is None or uwb.markov_sigma_m is None:
+            return cls(none, none, none, np.zeros((len(t_s), 2)), white)
+        first_s, next_s = problem.keyframe_s[before], problem.keyframe_s[before + 1]
+        first, second, left = ranging.markov_weights(
+            (t_s - first_s) / uwb.markov_time_s, (next_s - first_s) / uwb.markov_time_s
+        )
+        sigma = calm * uwb.markov_sigma_m
+        slot = np.zeros(len(t_s), np.int64)
+        for span in problem.frontend.ranging:
+            inside = (t_s >= span.start_s) & (t_s <= span.end_s)
+            names = np.array([uwb.anchor[a].id for a in anchor[inside]])
+            slot[inside] = np.searchsorted(np.array(span.anchors), names)
+        adds = sigma[:, None] * np.column_stack([first, second])
+        return cls(M(0) + before, M(0) + before + 1, slot, adds, np.hypot(white, sigma * np.sqrt(left)))
+
+
+def _carried(problem: Problem, t_s: Array, before: npt_int, gyro_bias_b: Array, accel_bias_b: Array) -> Motion:
+    """Motion from the keyframe before each range to the range's own time."""
+    keyframe_s, parts = problem.keyframe_s, []
+    edges = np.searchsorted(before, np.arange(0, len(keyframe_s) - 1 + _BLOCK, _BLOCK))
+    for lo, hi in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if lo < hi:
+            first, last = int(before[lo]), int(before[hi - 1]) + 1
+            span = keyframe_s[first : last + 1]
+            grid = np.unique(np.concatenate([span, t_s[lo:hi]]))
+            owner = np.searchsorted(span, grid[:-1], side="right") - 1 + first
+            fine = compensated_increments(
+                problem.imu.samples.block(span[0], span[-1]), grid, problem.minor_s, gyro_bias_b[owner],
+                accel_bias_b[owner],
+            )  # fmt: skip
+            motion = cumulate(replace(fine, first=fine.first[np.searchsorted(grid, span)]))
+            parts.append(
+                _at(motion, fine.first[np.searchsorted(grid, t_s[lo:hi])] - 1, t_s[lo:hi] > span[before[lo:hi] - first])
+            )
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return Motion(np.arange(len(t_s) + 1), *columns)
+
+
+def _at(motion: Motion, minor: npt_int, moved: npt_bool) -> tuple[Array, Array, Array, Array]:
+    """Motion up to the ends of minor intervals; none for ranges at their keyframe."""
+    k = np.maximum(minor, 0)
+    share = moved.astype(float)
+    rotation = np.where(moved[:, None, None], motion.rotation[k], np.eye(3))
+    return (
+        share * motion.elapsed_s[k], rotation, share[:, None] * motion.velocity_b[k],
+        share[:, None] * motion.position_b[k],
+    )  # fmt: skip
+
+
+# What stands beside the ranges ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RangeStates:
+    """Keys of the variables that ranges add.
+
+    Attributes
+    ----------
+    anchors : indices of the anchors heard; markov : (S, 2) first and last keyframe of each span's Markov errors.
+    """
+
+    anchors: list[int]
+    markov: list[tuple[int, int]]
+
+    @classmethod
+    def of(cls, problem: Problem, readings: RangeReadings) -> RangeStates:
+        """Those of the ranges of a log."""
+        keys = readings.family.markov_key
+        used = np.unique(keys[keys >= 0]) - M(0)
+        edges = np.flatnonzero(np.diff(used, prepend=-2, append=used[-1:] + 2 if len(used) else []) > 1)
+        t = problem.keyframe_s
+        first = [int(np.searchsorted(t, span.start_s + _SAME_S, side="right") - 1) for span in problem.frontend.ranging]
+        last = [int(np.searchsorted(t, span.end_s + _SAME_S, side="right")) for span in problem.frontend.ranging]
+        spans = [(max(lo, 0), min(hi, len(t) - 1)) for lo, hi in zip(first, last, strict=True)] if len(edges) else []
+        return cls(np.unique(readings.anchor).tolist(), spans)
+
+    def insert(self, problem: Problem, values: gtsam.Values) -> None:
+        """Zeros for what is not there yet."""
+        for a in self.anchors:
+            if not values.exists(A(a)):
+                values.insert(A(a), np.zeros(4))
+        for first, last in self.markov:
+            for i in range(first, last + 1):
+                if not values.exists(M(i)):
+                    values.insert(M(i), np.zeros(slots(problem)))
+
+    def factors(self, problem: Problem) -> list[tuple[int, gtsam.NonlinearFactor]]:
+        """Priors and transitions, each with the last keyframe it needs."""
+        import gtsam
+
+        uwb, size = problem.log.uwb, slots(problem)
+        assert uwb is not None
+        found: list[tuple[int, gtsam.NonlinearFactor]] = []
+        for a in self.anchors:
+            sigma = np.r_[uwb.bias_sigma_m or _NONE_M, np.full(3, uwb.anchor[a].sigma_m)]
+            found.append((0, gtsam.PriorFactorVector(A(a), np.zeros(4), diagonal(sigma))))
+        for first, last in self.markov:
+            assert uwb.markov_time_s is not None
+            found.append((first, gtsam.PriorFactorVector(M(first), np.zeros(size), diagonal(np.ones(size)))))
+            for i in range(first, last):
+                span = (problem.keyframe_s[i + 1] - problem.keyframe_s[i]) / uwb.markov_time_s
+                found.append((i + 1, ranging.markov_factor(M(i), M(i + 1), float(span), size)))
+        return found
