@@ -7,8 +7,9 @@ What is taken from where:
 
 - *Ranges, gyro, accelerometer*: as recorded.
 - *Anchors, tags on the rig*: the motion capture's survey, made with the recording. The files of the first recording
-  number its anchors in two ways: `_Setup.anchors` is what agrees with its `gt_range` to rounding for five anchors and
-  to what they were moved by for three.
+  number its anchors in two ways: `_Setup.anchors` is what its `gt_range` agrees with, to rounding. The constant error
+  of a range is that of the antennas at both ends, and the two tags differ by 0.1 m: every pair of tag and anchor is an
+  anchor of the log, named "anchor-tag", so that it has a constant of its own.
 - *Clocks*: the two tables have time zeros of their own. Both hold the rig's pose; the offset at which these agree (to
   2 mm) is `ranges_later_s`. Stamps of the IMU are early: its rates agree best with those of the poses 32 ms later
   (25 to 35 ms by their sum of squares), which is added. Time is that of ``imu.csv``.
@@ -88,7 +89,7 @@ class _Setup:
 _SETUPS = {
     "loop-2d-fast_s1": _Setup(
         markers="uwb_markers_v1.csv",
-        anchors={"4": "12", "5": "15", "6": "6", "7": "11", "9": "9", "10": "13", "11": "10", "12": "16"},
+        anchors={"4": "12", "5": "15", "6": "16", "7": "11", "9": "9", "10": "13", "11": "10", "12": "6"},
         tags_rig_m={"1": (-0.085, -0.207, 0.069), "2": (-0.085, 0.0, 0.069)},
         quat_rig_imu=(0.004721, 0.997126, 0.000389, 0.075612),
         imu_rig_m=(-0.029, -0.158, -0.039),
@@ -214,15 +215,16 @@ def _ranges(folder: Path, setup: _Setup, level: Array) -> Uwb:
     return Uwb(
         t_s=table.times("time_s", apart=False) + setup.ranges_later_s,
         tag_id=table.names("from_id"),
-        anchor_id=table.names("to_id"),
+        anchor_id=table.names("to_id") + "-" + table.names("from_id"),
         range_m=table.column("range"),
         tag=tuple(
             UwbTag(id=name, lever_arm_b_m=_RFU_FROM_RIG @ (np.array(place) - setup.imu_rig_m))
             for name, place in setup.tags_rig_m.items()
         ),
         anchor=tuple(
-            UwbAnchor(id=name, pos_n_m=surveyed[marker], sigma_m=_ANCHOR_SIGMA_M)
+            UwbAnchor(id=f"{name}-{tag}", pos_n_m=surveyed[marker], sigma_m=_ANCHOR_SIGMA_M)
             for name, marker in setup.anchors.items()
+            for tag in setup.tags_rig_m
         ),
         **_RANGES,
     )
