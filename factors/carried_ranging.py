@@ -1,0 +1,91 @@
+"""Ranges of a machine without an IMU: each at its own time, carried from the keyframe before it by measured motions.
+
+The residual is that of `factors.ranging`; wheels or a camera say how the body moved since the keyframe, so the tag is a
+point that is fixed to it, ``e = |p + R l - a| + b + s m(t) - r`` with ``l = p_m + R_m l_b``: l_b the tag's lever arm,
+p_m, R_m the motion. What the motion has wrong between the keyframe and the range is left out (Plaza1: 5 cm in a second
+beside ranges of 50 cm).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors import lookup
+from factors.increments import npt_int
+from factors.inertial import Motion
+from factors.ranging import RangeFamily, range_residual
+from factors.so3 import Array
+
+if TYPE_CHECKING:
+    import gtsam
+
+
+@dataclass(frozen=True)
+class CarriedRanges(RangeFamily):
+    """Ranges that hang on poses alone; `lever_arm_b` (K, 3) is the tag in the axes of the keyframe before the range."""
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        pose_key: npt_int,
+        anchor_key: npt_int,
+        lever_arm_b: Array,
+        anchor_n: Array,
+        range_m: Array,
+        sigma_m: Array,
+        markov_key: npt_int,
+        next_key: npt_int,
+        slot: npt_int,
+        slots: npt_int,
+        markov_m: Array,
+    ) -> CarriedRanges:
+        """Without what belongs to an IMU; parameters as in `RangeFamily`."""
+        count = len(range_m)
+        none, zero = np.full(count, -1, np.int64), np.zeros((count, 3))
+        still = Motion(np.arange(count + 1), np.zeros(count), np.broadcast_to(np.eye(3), (count, 3, 3)), zero, zero)
+        return cls(
+            pose_key=pose_key,
+            velocity_key=none,
+            bias_key=none,
+            markov_key=markov_key,
+            next_key=next_key,
+            slot=slot,
+            slots=slots,
+            anchor_key=anchor_key,
+            motion=still,
+            accel_bias_b=zero,
+            gyro_bias_b=zero,
+            lever_arm_b=lever_arm_b,
+            anchor_n=anchor_n,
+            range_m=range_m,
+            sigma_m=sigma_m,
+            markov_m=markov_m,
+            gravity_m_s2=0.0,
+            earth_rate_n=np.zeros(3),
+        )
+
+    def residuals(self, values: gtsam.Values) -> tuple[Array, dict[str, Array]]:
+        """Whitened errors (K,) and Jacobians (K, size) by pose, anchor and the two Markov values."""
+        pose, anchor = lookup.poses(values, self.pose_key), lookup.vectors(values, self.anchor_key)
+        error, by_pose, by_anchor = range_residual(
+            pose[:, :3, :3], pose[:, :3, 3], self.lever_arm_b, self.anchor_n + anchor[:, 1:], self.range_m
+        )
+        error = error + anchor[:, 0] + self._markov(values)
+        sigma = self.sigma_m[:, None]
+        jacobians = {
+            "pose": by_pose / sigma,
+            "anchor": np.concatenate([np.ones_like(sigma), by_anchor], axis=1) / sigma,
+            "markov": self.markov_m / sigma,
+        }
+        return error / self.sigma_m, jacobians
+
+    def blocks(self, rows: slice, jacobians: dict[str, Array]) -> tuple[list[int], list[Array]]:
+        """Keys and Jacobians of the ranges of one keyframe."""
+        none = np.zeros((len(self.range_m), 0))
+        keys, blocks = super().blocks(rows, {"velocity": none, "bias": none, **jacobians})
+        # the second and third are the velocity's and the bias's, which a pose has not
+        return [keys[0], *keys[3:]], [blocks[0], *blocks[3:]]
