@@ -15,6 +15,7 @@ import numpy as np
 from factors.position import position_factor
 from factors.relative_pose import Chain, between_factor
 from factors.so3 import Array, from_quaternion, to_quaternion
+from graphnav.chain_ranges import SCALE, scale_prior
 from graphnav.config import Config
 from graphnav.errors import LogError
 from graphnav.frontends.motion_chain import motion_chain
@@ -99,6 +100,8 @@ def chain_values(
             values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
     if ranges is not None:
         RangeStates.of(problem, ranges).insert(problem, values)
+        if scale_prior(problem) is not None:
+            values.insert(SCALE, np.zeros(1))
     return values
 
 
@@ -118,6 +121,9 @@ def chain_graph(
     if ranges is not None:
         for _, factor in RangeStates.of(problem, ranges).factors(problem):
             native.add(factor)
+        prior = scale_prior(problem)
+        if prior is not None:
+            native.add(prior)
     family = None if ranges is None else ranges.family
     lidar = problem.log.lidar
     if readings is None or lidar is None:

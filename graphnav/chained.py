@@ -20,7 +20,7 @@ from graphnav.chain_graph import (
     pose_chain,
     reckoned,
 )
-from graphnav.chain_ranges import anchor_calibration, chain_readings, heard, placed
+from graphnav.chain_ranges import SCALE, anchor_calibration, chain_readings, heard, placed
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 #: What takes part in a graph without an IMU.
 METHODS = ("batch", "dead-reckoning")
 _NO_SPANS = np.zeros((0, 2))
-_DIMS = {"x": 6, "l": 4, "d": 8, "a": 4}
+_DIMS = {"x": 6, "l": 4, "d": 8, "a": 4, "s": 1}
 #: Tables and sections that only a graph with an IMU makes use of.
 _UNUSED = {"odometer": "table odometer", "face": "section [face]", "stereo": "table stereo"}
 
@@ -104,6 +104,8 @@ def _covariances(
     if result.values.exists(D(0)):
         groups[D(0)] = (D(0),)
     groups |= {A(a): (A(a),) for a in heard(problem, result.values)}
+    if result.values.exists(SCALE):
+        groups[SCALE] = (SCALE,)
     assert result.bayes_tree is not None
     dims = {**_DIMS, "m": slots(problem)}
     return joint_marginals(result.bayes_tree, result.order, lambda key: dims[chr(key >> 56)], groups, progress)

@@ -124,7 +124,7 @@ def _add_import(group: Any) -> None:
     places = "aer1513: whether the tubes are surveyed (default known)"
     parser.add_argument("--landmarks", choices=("known", "unknown"), help=places)
     parser.add_argument("--interval-s", type=float, help="aer1513: least time between laser scans (default 1)")
-    heading = "plaza, starloc: sigma of the heading at the start (default 10)"
+    heading = "starloc: take the heading at the start from the reference, to this sigma"
     parser.add_argument("--heading-sigma-deg", type=float, help=heading)
 
 

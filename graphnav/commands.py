@@ -26,7 +26,7 @@ IMPORTERS = {
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
     "lego": ("graphnav.readers.lego", ()),
-    "plaza": ("graphnav.readers.plaza", ("heading_sigma_deg",)),
+    "plaza": ("graphnav.readers.plaza", ()),
     "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg",)),
 }
 #: Formats whose data come with the gtsam package.

@@ -314,7 +314,8 @@ class Uwb(Record):
     """UWB ranges with their tags and anchors.
 
     A range is the distance plus its anchor's constant, a first-order Markov process of its own, and white noise;
-    `rest_factor` times the latter two while the machine stands.
+    `rest_factor` times the latter two while the machine stands. With `scale_sigma` the distance counts times one plus
+    an unknown that all ranges share (estimated where relative poses carry the state, not yet beside an IMU).
     """
 
     SECTION: ClassVar[str] = "uwb"
@@ -330,6 +331,7 @@ class Uwb(Record):
     markov_sigma_m: float | None = param(None, positive=True)
     markov_time_s: float | None = param(None, positive=True)
     rest_factor: float = param(1.0, positive=True)
+    scale_sigma: float | None = param(None, positive=True)
     tag: tuple[UwbTag, ...] = param((), items=UwbTag)
     anchor: tuple[UwbAnchor, ...] = param((), items=UwbAnchor)
     time_offset_s: float = param(0.0)

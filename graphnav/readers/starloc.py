@@ -16,9 +16,9 @@ What is taken from where:
 - *IMU on the rig*: ``calib.json`` and the README contradict the data. Turn and place are those by which rates and
   accelerations agree with the poses (`_Setup.quat_rig_imu`, to half a degree, `imu_rig_m`, to 2 cm): a calibration.
 - *Up*: the room's z axis of the first recording is 1.3 deg off the vertical that the accelerometer shows; n is level.
-- *Start*: tilt from the first half second of the accelerometer, within 5 deg; **heading from the reference**, within
-  `heading_sigma_deg`, since gravity does not show it and four or eight anchors show it after some motion only; position
-  unknown; velocity zero within 1 m/s.
+- *Start*: tilt from the first half second of the accelerometer, within 5 deg; velocity zero within 1 m/s; position and
+  heading unknown, as ranges show both once the rig moves. Filters that linearize along the way need a heading to begin
+  with: with `heading_sigma_deg` **it is the reference's**, and nothing else an estimator sees is.
 - *Truth*: the motion capture's pose at the rows of ``imu.csv``, for judging alone. Rows that are nearer than 60 ms to
   a jump (3 m/s or 4 rad/s) are left out: 24 % and 2 %.
 
@@ -61,6 +61,8 @@ _RANGES: dict[str, Any] = {"sigma_m": 0.05, "bias_sigma_m": 0.3, "markov_sigma_m
 _ANCHOR_SIGMA_M = 0.01
 #: Poses that are further apart than these rates, and those near them in time, are jumps of the motion capture.
 _JUMP_M_S, _JUMP_RAD_S, _NEAR_S = 3.0, 4.0, 0.06
+#: Sigma of a heading that nothing is known of.
+UNKNOWN_HEADING_DEG = 120.0
 _TILT_S, _TILT_SIGMA_DEG = 0.5, 5.0
 
 
@@ -108,13 +110,14 @@ _SETUPS = {
 }
 
 
-def convert(source: str | Path | None, *, heading_sigma_deg: float = 10.0) -> SensorLog:
+def convert(source: str | Path | None, *, heading_sigma_deg: float | None = None) -> SensorLog:
     """Convert a recording.
 
     Parameters
     ----------
     source : folder ``loop-2d-fast_s1`` or ``loop-3d_s5``, beside the folder ``mocap``.
-    heading_sigma_deg : declared sigma of the heading at the start, which is the reference's.
+    heading_sigma_deg : declared sigma of the heading at the start, which then is the reference's; None leaves it
+        unknown.
 
     Returns
     -------
@@ -128,7 +131,7 @@ def convert(source: str | Path | None, *, heading_sigma_deg: float = 10.0) -> Se
     """
     if source is None:
         raise LogError("starloc needs a source folder", fix="pass the folder loop-2d-fast_s1 or loop-3d_s5")
-    if not heading_sigma_deg > 0:
+    if heading_sigma_deg is not None and not heading_sigma_deg > 0:
         raise LogError(f"heading_sigma_deg {heading_sigma_deg}, expected above zero")
     folder = Path(source).resolve()
     setup = _SETUPS.get(folder.name)
@@ -190,18 +193,19 @@ def _truth(table: NamedCsv, setup: _Setup, level: Array) -> Truth:
     )
 
 
-def _initial(imu: Imu, truth: Truth, heading_sigma_deg: float) -> InitialState:
-    """Level by the accelerometer, heading of the reference's first pose, place unknown."""
+def _initial(imu: Imu, truth: Truth, heading_sigma_deg: float | None) -> InitialState:
+    """Level by the accelerometer, heading unknown or that of the reference's first pose, place unknown."""
     up_b = imu.accel_b_m_s2[imu.t_s < imu.start_s + _TILT_S].mean(axis=0)
     levelled = _level(up_b)
-    # the turn about up that brings the levelled forward axis to the reference's
-    seen, wanted = levelled[:2, 1], so3.from_quaternion(truth.quat_nb[0])[:2, 1]
+    # the turn about up that brings the levelled forward axis to north, or to the reference's
+    seen = levelled[:2, 1]
+    wanted = np.array([0.0, 1.0]) if heading_sigma_deg is None else so3.from_quaternion(truth.quat_nb[0])[:2, 1]
     heading = np.arctan2(wanted[1], wanted[0]) - np.arctan2(seen[1], seen[0])
     return InitialState(
         pos_n_m=np.zeros(3),
         pos_sigma_m=np.full(3, 1000.0),
         quat_nb_wxyz=so3.to_quaternion(so3.exp(np.array([0.0, 0.0, heading])) @ levelled),
-        att_sigma_deg=np.array([_TILT_SIGMA_DEG, _TILT_SIGMA_DEG, heading_sigma_deg]),
+        att_sigma_deg=np.array([_TILT_SIGMA_DEG, _TILT_SIGMA_DEG, heading_sigma_deg or UNKNOWN_HEADING_DEG]),
         vel_n_m_s=np.zeros(3),
         vel_sigma_m_s=np.ones(3),
     )
