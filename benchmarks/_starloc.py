@@ -10,6 +10,7 @@ import numpy as np
 
 import graphnav as gn
 from benchmarks._report import ROOT, Row, Target, row, say
+from factors.so3 import from_quaternion
 from graphnav._metrics import truth_at
 from graphnav.evaluation import evaluate
 from graphnav.log import SensorLog
@@ -101,11 +102,11 @@ def error_rows(name: str, log: SensorLog) -> list[Row]:
     """What is wrong with the ranges, by the reference: constant of each pair, spread about it, what is far off."""
     uwb, truth = log.uwb, log.truth
     assert uwb is not None and truth is not None
-    known, pos, rotation = truth_at(truth, uwb.t_s)
+    known, pos, quat = truth_at(truth, uwb.t_s)
     levers, places = (
         {i.id: getattr(i, v) for i in g} for g, v in ((uwb.tag, "lever_arm_b_m"), (uwb.anchor, "pos_n_m"))
     )
-    tag = pos + np.einsum("kij,kj->ki", rotation, np.array([levers[i] for i in uwb.tag_id[known]]))
+    tag = pos + np.einsum("kij,kj->ki", from_quaternion(quat), np.array([levers[i] for i in uwb.tag_id[known]]))
     anchor = uwb.anchor_id[known]
     error = uwb.range_m[known] - np.linalg.norm(tag - np.array([places[i] for i in anchor]), axis=1)
     constant = {i: float(np.median(error[anchor == i])) for i in sorted(places)}

@@ -1,9 +1,9 @@
 """Recorded UWB ranges: STAR-loc (IMU and ranges, carried by hand) and Plaza1 (odometry and ranges, a mower).
 
-``python -m benchmarks.real starloc plaza1``: the data sets by name, both by default. Errors are those of the position at
-the keyframes against the reference, nothing aligned; the smoother never sees the reference. STAR-loc needs its
-recordings (GRAPHNAV_DATA or ../shared/data): a row without its recording has no value, and its target is not met. Plaza1
-comes with gtsam. Takes about a minute.
+``python -m benchmarks.real starloc plaza1``: the data sets by name, both by default. Errors are those of the position
+at the keyframes against the reference, nothing aligned; the smoother never sees the reference. STAR-loc needs its
+recordings (GRAPHNAV_DATA or ../shared/data): a row without its recording has no value, and its target is not met.
+Plaza1 comes with gtsam. Takes about two minutes.
 """
 
 from __future__ import annotations

@@ -105,4 +105,7 @@ class CarriedRanges(RangeFamily):
         # the second and third are the velocity's and the bias's, which a pose has not
         keys, blocks = [keys[0], *keys[3:]], [blocks[0], *blocks[3:]]
         own = int(self.scale_key[rows.start])
-        return ([*keys, own], [*blocks, jacobians["scale"][rows]]) if own >= 0 else (keys, blocks)
+        if own < 0:
+            return keys, blocks
+        scale = jacobians.get("scale", np.zeros((len(self.range_m), 1)))
+        return [*keys, own], [*blocks, scale[rows]]

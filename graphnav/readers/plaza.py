@@ -10,7 +10,7 @@
 - *Truth* (`GT`): satellite positions, for judging alone. **Its heading is not independent**: its steps are the
   odometry's turns to rounding.
 
-Ranges are too long, by 2.8 m in the median. The error is no constant but grows with the distance, by 6.6 %, from nothing:
+Ranges are too long, by 2.8 m in the median. The error is no constant but grows from nothing by 6.6 % of the distance:
 a constant for each radio leaves +-1.3 m. Declared are both, a scale error that all ranges share (`scale_sigma` 0.1) and
 a constant for each radio (`bias_sigma_m` 3 m); white 0.5 m, and 0.5 m that changes within 10 s.
 
