@@ -7,57 +7,24 @@ measure how the pose changes and nothing else, so there is no velocity, bias or 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from factors.position import position_factor
-from factors.relative_pose import Chain, between_factor
+from factors.relative_pose import between_factor
 from factors.so3 import Array, from_quaternion, to_quaternion
+from graphnav.chain_problem import ChainProblem
 from graphnav.chain_ranges import SCALE, scale_prior
-from graphnav.config import Config
-from graphnav.errors import LogError
-from graphnav.frontends.motion_chain import motion_chain
 from graphnav.graph import SmoothingGraph, pose_prior
-from graphnav.keyframes import Frontend
 from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings, gathered
-from graphnav.log import InitialState, SensorLog
 from graphnav.problem import D, L, X
 from graphnav.ranges import RangeReadings, RangeStates
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import gtsam
-
-
-@dataclass(frozen=True)
-class ChainProblem:
-    """What stays fixed while solving."""
-
-    log: SensorLog
-    config: Config
-    frontend: Frontend
-    chain: Chain
-    initial: InitialState
-
-    @property
-    def keyframe_s(self) -> Array:
-        """(N,) keyframe times."""
-        return self.frontend.keyframe_s
-
-
-def pose_chain(log: SensorLog, config: Config, frontend: Frontend) -> ChainProblem:
-    """Check what smoothing by relative poses needs.
-
-    Raises
-    ------
-    LogError : no initial state, or motions that are no chain.
-    """
-    if log.initial is None:
-        raise LogError("missing", where="log.toml, [initial]", fix="give the initial pose with its sigmas")
-    return ChainProblem(log, config, frontend, motion_chain(log), log.initial)
 
 
 def reckoned(problem: ChainProblem) -> Trajectory:

@@ -28,7 +28,7 @@ from graphnav.trajectory import Trajectory
 if TYPE_CHECKING:
     import gtsam
 
-    from graphnav.chain_graph import ChainProblem
+    from graphnav.chain_problem import ChainProblem
 
 #: Sigmas of a scale error and of a constant that are declared to be none.
 _NO_SCALE, _NO_BIAS_M = 1e-6, 1e-3

@@ -12,14 +12,13 @@ from factors.so3 import Array, to_quaternion, transpose
 from graphnav._memory import peak_bytes
 from graphnav._stages import Stages
 from graphnav.chain_graph import (
-    ChainProblem,
     chain_graph,
     chain_values,
     leg_readings,
     mean_velocity,
-    pose_chain,
     reckoned,
 )
+from graphnav.chain_problem import ChainProblem, pose_chain
 from graphnav.chain_ranges import SCALE, anchor_calibration, chain_readings, heard, placed
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError

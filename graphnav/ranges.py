@@ -23,7 +23,7 @@ from graphnav.problem import A, B, M, Problem, V, X
 if TYPE_CHECKING:
     import gtsam
 
-    from graphnav.chain_graph import ChainProblem
+    from graphnav.chain_problem import ChainProblem
 
 #: Sigma of a constant error that is declared to be none: too small to show.
 _NONE_M = 1e-4

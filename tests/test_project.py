@@ -54,6 +54,9 @@ FLOORS = (
     {
         "graphnav.graph",
         "graphnav.chain_graph",
+        "graphnav.chain_problem",
+        "graphnav.chain_ranges",
+        "graphnav.ranges",
         "graphnav.legs",
         "graphnav.leg_advances",
         "graphnav.leg_means",
@@ -62,7 +65,7 @@ FLOORS = (
         "graphnav.problem",
         "graphnav.preintegration",
     },
-    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement"},
+    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement", "graphnav.range_agreement"},
     {
         "graphnav.smooth",
         "graphnav.outcome",

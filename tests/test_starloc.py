@@ -172,6 +172,7 @@ def test_position_within_twelve_centimetres(recordings: Path, name: str) -> None
     assert rms(run(recordings / name), log(recordings / name)) < 0.12
 
 
+@pytest.mark.slow
 def test_tags_need_constants_of_their_own(recordings: Path) -> None:
     """One constant for both tags puts the rig 0.7 m too low, and the ranges themselves say so."""
     source = recordings / RECORDINGS[0]
