@@ -1,60 +1,30 @@
 """The smoothing problem of a log without an IMU: keyframes tied by measured motions.
 
-Variables: ``X(i)`` pose T_nb at keyframe i, legs ``L(j)`` and the scanner's calibration ``D(0)``. Wheels and cameras
+Variables: ``X(i)`` pose T_nb at keyframe i, legs ``L(j)`` and the scanner's calibration ``D(0)``, errors of UWB
+anchors ``A(a)`` and their Markov part ``M(i)``. Wheels and cameras
 measure how the pose changes and nothing else, so there is no velocity, bias or gravity in it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from factors.position import position_factor
-from factors.relative_pose import Chain, between_factor
+from factors.relative_pose import between_factor
 from factors.so3 import Array, from_quaternion, to_quaternion
-from graphnav.config import Config
-from graphnav.errors import LogError
-from graphnav.frontends.motion_chain import motion_chain
+from graphnav.chain_problem import ChainProblem
+from graphnav.chain_ranges import SCALE, scale_prior
 from graphnav.graph import SmoothingGraph, pose_prior
-from graphnav.keyframes import Frontend
 from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings, gathered
-from graphnav.log import InitialState, SensorLog
 from graphnav.problem import D, L, X
+from graphnav.ranges import RangeReadings, RangeStates
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import gtsam
-
-
-@dataclass(frozen=True)
-class ChainProblem:
-    """What stays fixed while solving."""
-
-    log: SensorLog
-    config: Config
-    frontend: Frontend
-    chain: Chain
-    initial: InitialState
-
-    @property
-    def keyframe_s(self) -> Array:
-        """(N,) keyframe times."""
-        return self.frontend.keyframe_s
-
-
-def pose_chain(log: SensorLog, config: Config, frontend: Frontend) -> ChainProblem:
-    """Check what smoothing by relative poses needs.
-
-    Raises
-    ------
-    LogError : no initial state, or motions that are no chain.
-    """
-    if log.initial is None:
-        raise LogError("missing", where="log.toml, [initial]", fix="give the initial pose with its sigmas")
-    return ChainProblem(log, config, frontend, motion_chain(log), log.initial)
 
 
 def reckoned(problem: ChainProblem) -> Trajectory:
@@ -82,8 +52,10 @@ def leg_readings(problem: ChainProblem, way: Trajectory) -> LegReadings | None:
     return gathered(log, problem.config, way, np.arange(len(problem.keyframe_s)))
 
 
-def chain_values(way: Trajectory, readings: LegReadings | None) -> gtsam.Values:
-    """Initial values: the dead-reckoned poses, legs where they were first seen, a scanner as declared."""
+def chain_values(
+    problem: ChainProblem, way: Trajectory, readings: LegReadings | None, ranges: RangeReadings | None = None
+) -> gtsam.Values:
+    """Initial values: the dead-reckoned poses, legs where they were first seen, scanner and anchors as declared."""
     import gtsam
 
     values = gtsam.Values()
@@ -93,11 +65,17 @@ def chain_values(way: Trajectory, readings: LegReadings | None) -> gtsam.Values:
         values.insert(D(0), np.zeros(8))
         for j, place_n in enumerate(readings.place_n):
             values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
+    if ranges is not None:
+        RangeStates.of(problem, ranges).insert(problem, values)
+        if scale_prior(problem) is not None:
+            values.insert(SCALE, np.zeros(1))
     return values
 
 
-def chain_graph(problem: ChainProblem, readings: LegReadings | None) -> SmoothingGraph:
-    """The initial pose, a motion between every two keyframes, known positions and legs."""
+def chain_graph(
+    problem: ChainProblem, readings: LegReadings | None, ranges: RangeReadings | None = None
+) -> SmoothingGraph:
+    """The initial pose, a motion between every two keyframes, known positions, legs and ranges."""
     import gtsam
 
     native = gtsam.NonlinearFactorGraph()
@@ -107,10 +85,17 @@ def chain_graph(problem: ChainProblem, readings: LegReadings | None) -> Smoothin
         native.add(between_factor(X(i), X(i + 1), *motion))
     for t, pos_n, sigma_n in problem.frontend.fixes:
         native.add(position_factor(X(problem.frontend.index(t)), pos_n, sigma_n))
+    if ranges is not None:
+        for _, factor in RangeStates.of(problem, ranges).factors(problem):
+            native.add(factor)
+        prior = scale_prior(problem)
+        if prior is not None:
+            native.add(prior)
+    family = None if ranges is None else ranges.family
     lidar = problem.log.lidar
     if readings is None or lidar is None:
-        return SmoothingGraph(native, None)
+        return SmoothingGraph(native, None, ranges=family)
     lean = float(np.tan(np.radians(problem.config.lidar.lean_sigma_deg)))
     for prior in leg_priors(lidar, readings.feature, readings.place_n[:, 2], lean):
         native.add(prior)
-    return SmoothingGraph(native, None, readings.family(lidar), None, [])
+    return SmoothingGraph(native, None, readings.family(lidar), None, [], family)

@@ -12,20 +12,22 @@ from factors.so3 import Array, to_quaternion, transpose
 from graphnav._memory import peak_bytes
 from graphnav._stages import Stages
 from graphnav.chain_graph import (
-    ChainProblem,
     chain_graph,
     chain_values,
     leg_readings,
     mean_velocity,
-    pose_chain,
     reckoned,
 )
+from graphnav.chain_problem import ChainProblem, pose_chain
+from graphnav.chain_ranges import SCALE, anchor_calibration, chain_readings, heard, placed
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
-from graphnav.problem import D, X
+from graphnav.problem import A, D, X
+from graphnav.range_agreement import agreeing_ranges
+from graphnav.ranges import slots
 from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
 from graphnav.solvers import batch
 from graphnav.solvers.covariance import joint_marginals
@@ -39,9 +41,9 @@ if TYPE_CHECKING:
 #: What takes part in a graph without an IMU.
 METHODS = ("batch", "dead-reckoning")
 _NO_SPANS = np.zeros((0, 2))
-_DIMS = {"x": 6, "l": 4, "d": 8}
+_DIMS = {"x": 6, "l": 4, "d": 8, "a": 4, "s": 1}
 #: Tables and sections that only a graph with an IMU makes use of.
-_UNUSED = {"odometer": "table odometer", "face": "section [face]", "uwb": "table uwb", "stereo": "table stereo"}
+_UNUSED = {"odometer": "table odometer", "face": "section [face]", "stereo": "table stereo"}
 
 
 def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:
@@ -58,7 +60,8 @@ def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Ru
     with stages.stage("frontend"):
         refuse_wrong_units(log, _NO_SPANS)
         problem = pose_chain(log, config, run_frontend(replace(log, odometer=None), config, _NO_SPANS))
-    way = reckoned(problem)
+    with stages.stage("assemble"):
+        way = placed(problem, reckoned(problem))
     if method == "dead-reckoning":
         return Run(way, {}, _diagnostics(problem, method, stages, ()), config)
     return _smoothed(problem, way, stages)
@@ -67,9 +70,13 @@ def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Ru
 def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
     config = problem.config
     with stages.stage("assemble"):
-        readings = leg_readings(problem, way)
-        graph, values = chain_graph(problem, readings), chain_values(way, readings)
+        readings, ranges = leg_readings(problem, way), chain_readings(problem)
+        graph = chain_graph(problem, readings, ranges)
+        values = chain_values(problem, way, readings, ranges)
     with stages.stage("solve") as tick:
+        if ranges is not None and config.uwb.loss != "none":
+            values, fit = agreeing_ranges(graph, config.uwb, values)
+            graph = replace(graph, ranges=ranges.family.only(fit))
         result = batch.solve(
             graph,
             values,
@@ -83,20 +90,24 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
     with stages.stage("covariance") as tick:
         blocks = _covariances(problem, result, tick) if config.covariance else None
     trajectory = _trajectory(problem, result.values, blocks)
-    calibration = _calibration(result.values, blocks)
+    calibration = {**_calibration(result.values, blocks), **anchor_calibration(problem, result.values, blocks)}
     return Run(trajectory, calibration, _diagnostics(problem, "batch", stages, result.iterations), config)
 
 
 def _covariances(
     problem: ChainProblem, result: batch.BatchResult, progress: Callable[[float, float], None] | None
 ) -> dict[int, Array]:
-    """Joint covariance of every keyframe with its neighbour, and of the scanner."""
+    """Joint covariance of every keyframe with its neighbour, and of scanner and anchors."""
     neighbours = _neighbours(len(problem.keyframe_s)).tolist()
     groups: dict[int, tuple[int, ...]] = {X(i): (X(i), X(j)) for i, j in enumerate(neighbours)}
     if result.values.exists(D(0)):
         groups[D(0)] = (D(0),)
+    groups |= {A(a): (A(a),) for a in heard(problem, result.values)}
+    if result.values.exists(SCALE):
+        groups[SCALE] = (SCALE,)
     assert result.bayes_tree is not None
-    return joint_marginals(result.bayes_tree, result.order, lambda key: _DIMS[chr(key >> 56)], groups, progress)
+    dims = {**_DIMS, "m": slots(problem)}
+    return joint_marginals(result.bayes_tree, result.order, lambda key: dims[chr(key >> 56)], groups, progress)
 
 
 def _neighbours(count: int) -> npt_int:

@@ -115,7 +115,7 @@ def _add_import(group: Any) -> None:
         help=", ".join(sorted(commands.IMPORTERS)),
     )
     parser.add_argument(
-        "source", type=Path, metavar="SRC", nargs="?", help="folder of the data; kitti-gtsam comes with gtsam"
+        "source", type=Path, metavar="SRC", nargs="?", help="folder of the data; kitti-gtsam and plaza come with gtsam"
     )
     _add_log_output(parser)
     parser.add_argument("--wheel-scale", type=float, help="comma2k19: known scale-factor error of the wheels")
@@ -124,6 +124,8 @@ def _add_import(group: Any) -> None:
     places = "aer1513: whether the tubes are surveyed (default known)"
     parser.add_argument("--landmarks", choices=("known", "unknown"), help=places)
     parser.add_argument("--interval-s", type=float, help="aer1513: least time between laser scans (default 1)")
+    heading = "starloc: take the heading at the start from the reference, to this sigma"
+    parser.add_argument("--heading-sigma-deg", type=float, help=heading)
 
 
 def _add_simulate(group: Any) -> None:

@@ -26,7 +26,11 @@ IMPORTERS = {
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
     "lego": ("graphnav.readers.lego", ()),
+    "plaza": ("graphnav.readers.plaza", ()),
+    "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg",)),
 }
+#: Formats whose data come with the gtsam package.
+_WITH_GTSAM = ("kitti-gtsam", "plaza")
 
 
 def demo(arguments: argparse.Namespace) -> None:
@@ -63,7 +67,7 @@ def import_log(arguments: argparse.Namespace) -> None:
     foreign = sorted(set(chosen) - set(options))
     if foreign:
         raise GraphnavError(f"{arguments.format} takes no --{foreign[0].replace('_', '-')}; leave it out")
-    if arguments.source is None and arguments.format != "kitti-gtsam":
+    if arguments.source is None and arguments.format not in _WITH_GTSAM:
         raise GraphnavError(f"{arguments.format} needs SRC, the folder of its data")
     with working("converting"):
         log = importlib.import_module(module).convert(arguments.source, **chosen)

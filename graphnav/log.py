@@ -315,7 +315,8 @@ class Uwb(Record):
     """UWB ranges with their tags and anchors.
 
     A range is the distance plus its anchor's constant, a first-order Markov process of its own, and white noise;
-    `rest_factor` times the latter two while the machine stands.
+    `rest_factor` times the latter two while the machine stands. With `scale_sigma` the distance counts times one plus
+    an unknown that all ranges share (estimated where relative poses carry the state, not yet beside an IMU).
 
     The anchors of a group stand on one body: truly they are where they are declared (each to its own sigma), turned
     together about up, about the mean of their declared positions, and then moved together. Sigma of the turn (None: no
@@ -337,6 +338,7 @@ class Uwb(Record):
     rest_factor: float = param(1.0, positive=True)
     group_sigma_m: float | None = param(None, positive=True)
     group_turn_sigma_deg: float | None = param(None, positive=True)
+    scale_sigma: float | None = param(None, positive=True)
     tag: tuple[UwbTag, ...] = param((), items=UwbTag)
     anchor: tuple[UwbAnchor, ...] = param((), items=UwbAnchor)
     time_offset_s: float = param(0.0)

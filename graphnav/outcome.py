@@ -238,6 +238,8 @@ def warnings(problem: Problem, biases_moved: bool) -> list[str]:
         found.append("[face] is declared but no cut was found: no closed path; check events, or face.length_m")
     if log.lidar_points is not None and log.lidar is None:
         found.append("the table lidar_points is not used: declare the scanner in a section [lidar]")
+    if log.uwb is not None and log.uwb.scale_sigma is not None:
+        found.append("uwb.scale_sigma is not used beside an IMU: ranges count as they are")
     if log.relative_pose is not None:
         found.append("the table relative_pose is not used beside an IMU")
     if biases_moved:

@@ -24,6 +24,8 @@ from graphnav.problem import A, B, M, Problem, V, X
 if TYPE_CHECKING:
     import gtsam
 
+    from graphnav.chain_problem import ChainProblem
+
 #: Keyframe intervals worked on at a time.
 _BLOCK = 500
 _SAME_S = 1e-6
@@ -60,7 +62,7 @@ class RangeReadings:
         return beside + list(zip(last, family.factors(), strict=True))
 
 
-def uses_ranges(problem: Problem) -> bool:
+def uses_ranges(problem: Problem | ChainProblem) -> bool:
     """Whether ranges take part."""
     return bool(problem.frontend.ranging) and problem.config.uwb.use
 
@@ -74,9 +76,9 @@ def range_readings(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) ->
     t_s = np.clip(uwb.t_s[rows], keyframe_s[0], keyframe_s[-1])
     before = np.clip(np.searchsorted(keyframe_s, t_s + _SAME_S, side="right") - 1, 0, len(keyframe_s) - 2)
     ids, tags = [a.id for a in uwb.anchor], [t.id for t in uwb.tag]
-    anchor = _index(ids, np.asarray(uwb.anchor_id)[rows])
-    tag = _index(tags, np.asarray(uwb.tag_id)[rows])
-    markov = _Markov.of(problem, uwb, t_s, before, anchor)
+    anchor = index_of(ids, np.asarray(uwb.anchor_id)[rows])
+    tag = index_of(tags, np.asarray(uwb.tag_id)[rows])
+    markov = MarkovParts.of(problem, uwb, t_s, before, anchor)
     family = ranging.RangeFamily(
         pose_key=X(0) + before,
         velocity_key=V(0) + before,
@@ -100,18 +102,19 @@ def range_readings(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) ->
     return RangeReadings(rows, anchor, family)
 
 
-def slots(problem: Problem) -> int:
+def slots(problem: Problem | ChainProblem) -> int:
     """Entries of a vector of Markov errors: as many as anchors answer in one span."""
     return max((len(span.anchors) for span in problem.frontend.ranging), default=0)
 
 
-def _index(known: list[str], names: Array) -> npt_int:
+def index_of(known: list[str], names: Array) -> npt_int:
+    """Places of `names` (K,) in a list that holds them all."""
     order = np.argsort(known)
     return np.asarray(order[np.searchsorted(np.array(known)[order], names)], np.int64)
 
 
 @dataclass(frozen=True)
-class _Markov:
+class MarkovParts:
     """What the Markov errors have to do with each of K ranges, see `factors.ranging.RangeFamily`."""
 
     key: npt_int
@@ -121,7 +124,8 @@ class _Markov:
     sigma_m: Array
 
     @classmethod
-    def of(cls, problem: Problem, uwb: Uwb, t_s: Array, before: npt_int, anchor: npt_int) -> _Markov:
+    def of(cls, problem: Problem | ChainProblem, uwb: Uwb, t_s: Array, before: npt_int, anchor: npt_int) -> MarkovParts:
+        """For ranges of `anchor` (K,) at t_s (K,), behind the keyframes `before` (K,)."""
         rest = problem.frontend.rest_s
         resting = ((t_s[:, None] >= rest[:, 0]) & (t_s[:, None] <= rest[:, 1])).any(axis=1)
         calm = np.where(resting, uwb.rest_factor, 1.0)
@@ -191,7 +195,7 @@ class RangeStates:
     markov: list[tuple[int, int]]
 
     @classmethod
-    def of(cls, problem: Problem, readings: RangeReadings) -> RangeStates:
+    def of(cls, problem: Problem | ChainProblem, readings: RangeReadings) -> RangeStates:
         """Those of the ranges of a log."""
         keys = readings.family.markov_key
         used = np.unique(keys[keys >= 0]) - M(0)
@@ -202,7 +206,7 @@ class RangeStates:
         spans = [(max(lo, 0), min(hi, len(t) - 1)) for lo, hi in zip(first, last, strict=True)] if len(edges) else []
         return cls(np.unique(readings.anchor).tolist(), spans)
 
-    def insert(self, problem: Problem, values: gtsam.Values) -> None:
+    def insert(self, problem: Problem | ChainProblem, values: gtsam.Values) -> None:
         """Zeros for what is not there yet."""
         for a in self.anchors:
             if not values.exists(A(a)):
@@ -212,7 +216,7 @@ class RangeStates:
                 if not values.exists(M(i)):
                     values.insert(M(i), np.zeros(slots(problem)))
 
-    def factors(self, problem: Problem) -> list[tuple[int, gtsam.NonlinearFactor]]:
+    def factors(self, problem: Problem | ChainProblem) -> list[tuple[int, gtsam.NonlinearFactor]]:
         """Priors and transitions, each with the last keyframe it needs."""
         import gtsam
 

@@ -1,0 +1,41 @@
+"""What stays fixed while a log without an IMU is smoothed: its chain of motions, keyframes and declared start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from factors.relative_pose import Chain
+from factors.so3 import Array
+from graphnav.config import Config
+from graphnav.errors import LogError
+from graphnav.frontends.motion_chain import motion_chain
+from graphnav.keyframes import Frontend
+from graphnav.log import InitialState, SensorLog
+
+
+@dataclass(frozen=True)
+class ChainProblem:
+    """What stays fixed while solving."""
+
+    log: SensorLog
+    config: Config
+    frontend: Frontend
+    chain: Chain
+    initial: InitialState
+
+    @property
+    def keyframe_s(self) -> Array:
+        """(N,) keyframe times."""
+        return self.frontend.keyframe_s
+
+
+def pose_chain(log: SensorLog, config: Config, frontend: Frontend) -> ChainProblem:
+    """Check what smoothing by relative poses needs.
+
+    Raises
+    ------
+    LogError : no initial state, or motions that are no chain.
+    """
+    if log.initial is None:
+        raise LogError("missing", where="log.toml, [initial]", fix="give the initial pose with its sigmas")
+    return ChainProblem(log, config, frontend, motion_chain(log), log.initial)

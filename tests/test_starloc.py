@@ -1,0 +1,182 @@
+"""STAR-loc: the importer on the recordings and on damaged copies of them, and what the graph makes of raw ranges."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import graphnav as gn
+from benchmarks._starloc import DATA, RECORDINGS, shared_constants
+from factors import so3
+from graphnav.errors import LogError
+from graphnav.evaluation import evaluate
+from graphnav.log import SensorLog
+from graphnav.readers import read, starloc, write
+from graphnav.run import Run
+
+TABLES = ("imu.csv", "uwb.csv")
+
+
+@pytest.fixture(scope="module")
+def recordings(data_dir: Path) -> Path:
+    folder = data_dir / DATA
+    if not folder.is_dir():
+        pytest.skip(f"no recorded data: {folder} is no folder")
+    return folder
+
+
+@cache
+def log(source: Path) -> SensorLog:
+    return starloc.convert(source)
+
+
+@cache
+def run(source: Path) -> Run:
+    return gn.smooth(dataclasses.replace(log(source), truth=None))
+
+
+def rms(run: Run, log: SensorLog) -> float:
+    error = evaluate(run.trajectory, log).error_n_m
+    return float(np.sqrt((error**2).sum(axis=1).mean()))
+
+
+# The importer -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_ranges_agree_with_the_reference(recordings: Path, name: str) -> None:
+    """Clocks, numbers of anchors, levers: `gt_range` is the distance that the log's own geometry gives."""
+    found, path = log(recordings / name), recordings / name / "uwb.csv"
+    header = path.read_text().partition("\n")[0].split(",")
+    columns = ("time_s", "range", "gt_range")
+    given = np.loadtxt(path, delimiter=",", skiprows=1, usecols=[header.index(c) for c in columns])
+    np.testing.assert_array_equal(found.uwb.range_m, given[:, 1])  # raw, not range_calib
+    truth = found.truth
+    near = np.clip(np.searchsorted(truth.t_s, found.uwb.t_s), 0, len(truth.t_s) - 1)
+    close = np.abs(truth.t_s[near] - found.uwb.t_s) < 5e-3
+    tags = {t.id: t.lever_arm_b_m for t in found.uwb.tag}
+    places = {a.id: a.pos_n_m for a in found.uwb.anchor}
+    lever = np.array([tags[i] for i in found.uwb.tag_id])
+    tag = truth.pos_n_m[near] + np.einsum("kij,kj->ki", so3.from_quaternion(truth.quat_nb[near]), lever)
+    distance = np.linalg.norm(tag - np.array([places[i] for i in found.uwb.anchor_id]), axis=1)
+    off = (distance - given[:, 2])[close]
+    assert close.sum() > 300 and np.median(np.abs(off)) < 0.005 and np.quantile(np.abs(off), 0.95) < 0.02
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_rates_agree_with_the_reference(recordings: Path, name: str) -> None:
+    """IMU's turn on the rig and clock: turns over a tenth of a second, body axes; half the spread if 30 ms are off."""
+    found = log(recordings / name)
+    truth, imu = found.truth, found.imu
+    first = np.arange(0, len(truth.t_s) - 30, 10)
+    last = np.searchsorted(truth.t_s, truth.t_s[first] + 0.1)
+    whole = truth.t_s[last] - truth.t_s[first] < 0.12
+    first, last = first[whole], last[whole]
+    rotation = so3.from_quaternion(truth.quat_nb)
+    turned = so3.log(so3.transpose(rotation[first]) @ rotation[last])
+    angle = np.vstack([np.zeros(3), np.cumsum(imu.gyro_b_rad_s * imu.dt_s, axis=0)])
+    edges = np.r_[imu.start_s, imu.t_s]
+
+    def left(later_s: float) -> float:
+        by_gyro = [
+            np.interp(truth.t_s[last] + later_s, edges, angle[:, k])
+            - np.interp(truth.t_s[first] + later_s, edges, angle[:, k])
+            for k in range(3)
+        ]
+        return float(np.median(np.linalg.norm(turned - np.array(by_gyro).T, axis=1)))
+
+    assert left(0.0) < np.radians(0.5)
+    assert left(0.0) < 0.8 * min(left(-0.03), left(0.03))
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_a_regular_grid_and_a_level_start(recordings: Path, name: str) -> None:
+    found = log(recordings / name)
+    np.testing.assert_allclose(np.diff(found.imu.t_s), found.imu.dt_s, rtol=1e-6)
+    force = found.imu.accel_b_m_s2[: int(0.5 / found.imu.dt_s)].mean(axis=0)
+    up = so3.from_quaternion(found.initial.quat_nb_wxyz) @ force
+    assert np.linalg.norm(up[:2]) < 1e-2 and 9.5 < up[2] < 10.1
+
+
+def test_start_tells_nothing_of_the_truth(recordings: Path) -> None:
+    """The heading is north whatever the reference says; asked for, it is the reference's."""
+    source = recordings / RECORDINGS[1]
+    free, headed = log(source).initial, starloc.convert(source, heading_sigma_deg=10.0).initial
+    assert abs(so3.from_quaternion(free.quat_nb_wxyz)[0, 1]) < 1e-9
+    assert free.att_sigma_deg[2] == starloc.UNKNOWN_HEADING_DEG and headed.att_sigma_deg[2] == 10.0
+    np.testing.assert_array_equal(free.pos_n_m, 0.0)
+    assert (free.pos_sigma_m >= 1000.0).all()
+    off = so3.log(so3.from_quaternion(headed.quat_nb_wxyz).T @ so3.from_quaternion(log(source).truth.quat_nb[0]))
+    assert abs(np.degrees(off[2])) < 1.0
+
+
+def test_jumps_of_the_reference_are_left_out(recordings: Path) -> None:
+    truth = log(recordings / RECORDINGS[0]).truth
+    speed = np.linalg.norm(np.diff(truth.pos_n_m, axis=0), axis=1) / np.diff(truth.t_s)
+    assert np.quantile(speed, 0.999) < 4.0
+    assert 0.7 < len(truth.t_s) / 3989 < 0.8
+
+
+def test_written_and_read_again(recordings: Path, tmp_path: Path) -> None:
+    found = log(recordings / RECORDINGS[1])
+    write(found, tmp_path / "log")
+    again = read(tmp_path / "log")
+    np.testing.assert_array_equal(again.uwb.range_m, found.uwb.range_m)
+    np.testing.assert_array_equal(again.imu.gyro_b_rad_s, found.imu.gyro_b_rad_s)
+    np.testing.assert_array_equal(again.uwb.tag[0].lever_arm_b_m, found.uwb.tag[0].lever_arm_b_m)
+
+
+def copied(recordings: Path, target: Path) -> Path:
+    name = RECORDINGS[1]
+    (target / name).mkdir()
+    for table in TABLES:
+        shutil.copy(recordings / name / table, target / name / table)
+    shutil.copytree(recordings / "mocap", target / "mocap")
+    return target / name
+
+
+def test_damaged_files_are_named(recordings: Path, tmp_path: Path) -> None:
+    source = copied(recordings, tmp_path)
+    table = source / "uwb.csv"
+    table.chmod(0o644)
+    lines = table.read_text().splitlines()
+    table.write_text("\n".join([lines[0].replace("range", "reach"), *lines[1:]]))
+    with pytest.raises(LogError, match=r"uwb\.csv.*range.*missing column"):
+        starloc.convert(source)
+    table.write_text("\n".join([lines[0], lines[1].replace("5.58", "five", 1), *lines[2:]]))
+    with pytest.raises(LogError, match=r"uwb\.csv.*no number"):
+        starloc.convert(source)
+    table.unlink()
+    with pytest.raises(LogError, match=r"no such file"):
+        starloc.convert(source)
+
+
+def test_other_folders_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="expected loop-2d-fast_s1 or loop-3d_s5"):
+        starloc.convert(tmp_path)
+    with pytest.raises(LogError, match="needs a source folder"):
+        starloc.convert(None)
+
+
+# What the graph makes of it ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_position_within_twelve_centimetres(recordings: Path, name: str) -> None:
+    """The issue's target, with raw ranges and an unknown heading; measured 0.096 and 0.097 m."""
+    assert rms(run(recordings / name), log(recordings / name)) < 0.12
+
+
+@pytest.mark.slow
+def test_tags_need_constants_of_their_own(recordings: Path) -> None:
+    """One constant for both tags puts the rig 0.7 m too low, and the ranges themselves say so."""
+    source = recordings / RECORDINGS[0]
+    shared = dataclasses.replace(log(source), uwb=shared_constants(log(source)))
+    other = gn.smooth(dataclasses.replace(shared, truth=None))
+    assert rms(other, shared) > 3 * rms(run(source), log(source))
+    assert other.diagnostics.history[-1]["error"] > run(source).diagnostics.history[-1]["error"] + 100
