@@ -177,6 +177,14 @@ def scale_prior(problem: ChainProblem) -> gtsam.NonlinearFactor | None:
     return gtsam.PriorFactorVector(SCALE, np.zeros(1), diagonal(np.array([uwb.scale_sigma])))
 
 
+def rejected_by_anchor(problem: ChainProblem, left_out: RangeReadings) -> dict[str, int]:
+    """Number of ranges left out, of all anchors ("uwb") and of each ("uwb anchor ID")."""
+    assert problem.log.uwb is not None
+    counts = np.bincount(left_out.anchor, minlength=len(problem.log.uwb.anchor)).tolist()
+    by_anchor = {f"uwb anchor {a.id}": n for a, n in zip(problem.log.uwb.anchor, counts, strict=True)}
+    return {"uwb": sum(counts), **by_anchor}
+
+
 def heard(problem: ChainProblem, values: gtsam.Values) -> list[int]:
     """The anchors that take part."""
     uwb = problem.log.uwb

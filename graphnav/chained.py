@@ -19,7 +19,7 @@ from graphnav.chain_graph import (
     reckoned,
 )
 from graphnav.chain_problem import ChainProblem, pose_chain
-from graphnav.chain_ranges import SCALE, anchor_calibration, chain_readings, heard, placed
+from graphnav.chain_ranges import SCALE, anchor_calibration, chain_readings, heard, placed, rejected_by_anchor
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
@@ -73,10 +73,12 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
         readings, ranges = leg_readings(problem, way), chain_readings(problem)
         graph = chain_graph(problem, readings, ranges)
         values = chain_values(problem, way, readings, ranges)
+    rejected: dict[str, int] = {}
     with stages.stage("solve") as tick:
         if ranges is not None and config.uwb.loss != "none":
             values, fit = agreeing_ranges(graph, config.uwb, values)
             graph = replace(graph, ranges=ranges.family.only(fit))
+            rejected = rejected_by_anchor(problem, ranges.only(~fit))
         result = batch.solve(
             graph,
             values,
@@ -91,7 +93,7 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
         blocks = _covariances(problem, result, tick) if config.covariance else None
     trajectory = _trajectory(problem, result.values, blocks)
     calibration = {**_calibration(result.values, blocks), **anchor_calibration(problem, result.values, blocks)}
-    return Run(trajectory, calibration, _diagnostics(problem, "batch", stages, result.iterations), config)
+    return Run(trajectory, calibration, _diagnostics(problem, "batch", stages, result.iterations, rejected), config)
 
 
 def _covariances(
@@ -146,7 +148,11 @@ def _calibration(values: gtsam.Values, blocks: dict[int, Array] | None) -> dict[
 
 
 def _diagnostics(
-    problem: ChainProblem, method: str, stages: Stages, iterations: tuple[batch.Iteration, ...]
+    problem: ChainProblem,
+    method: str,
+    stages: Stages,
+    iterations: tuple[batch.Iteration, ...],
+    rejected: dict[str, int] | None = None,
 ) -> Diagnostics:
     steps = [dict(vars(step)) for step in iterations]
     return Diagnostics(
@@ -156,6 +162,7 @@ def _diagnostics(
         keyframes=len(problem.keyframe_s),
         seconds=stages.total(),
         peak_rss_mb=peak_bytes() / 1e6,
+        rejected=rejected or {},
         warnings=_warnings(problem),
         history=steps,
     )

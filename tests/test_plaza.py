@@ -151,6 +151,19 @@ def ranged(seed: int, place_known: bool = False) -> SensorLog:
     return dataclasses.replace(drawn, uwb=uwb, initial=start)
 
 
+def test_ranges_by_reflection_are_left_out() -> None:
+    """A tenth of the ranges is 3 m too long: nearly these alone are left out, and the path stays."""
+    drawn = ranged(3)
+    wrong = np.random.default_rng(7).random(len(drawn.uwb)) < 0.1
+    bad = drawn.uwb.replace(range_m=drawn.uwb.range_m + 3.0 * wrong)
+    clean = gn.smooth(dataclasses.replace(drawn, truth=None))
+    found = gn.smooth(dataclasses.replace(drawn, uwb=bad, truth=None))
+    rejected = found.diagnostics.rejected
+    assert wrong.sum() <= rejected["uwb"] <= wrong.sum() + 4
+    assert rejected["uwb"] == sum(n for name, n in rejected.items() if name.startswith("uwb anchor"))
+    assert np.abs(found.trajectory.pos_n - clean.trajectory.pos_n).max() < 0.1
+
+
 def test_a_start_that_nothing_tells_is_refused() -> None:
     with pytest.raises(SolveError, match="place at the start"):
         gn.smooth(dataclasses.replace(ranged(0), uwb=None, truth=None))
