@@ -195,10 +195,15 @@ class RangeFamily:
                 block[np.arange(count), self.slot[rows]] = jacobians["markov"][rows, column]
                 keys.append(int(own[at]))
                 blocks.append(block)
-        anchors = self.anchor_key[rows]
-        for key in np.unique(anchors).tolist():
+        of_anchor: dict[int, list[int]] = {}
+        for row, key in enumerate(self.anchor_key[rows].tolist()):
+            of_anchor.setdefault(key, []).append(row)
+        by_anchor = jacobians["anchor"][rows]
+        for key, own_rows in of_anchor.items():
+            block = np.zeros((count, 4))
+            block[own_rows] = by_anchor[own_rows]
             keys.append(key)
-            blocks.append(np.where((anchors == key)[:, None], jacobians["anchor"][rows], 0.0))
+            blocks.append(block)
         return keys, blocks
 
     def factors(self) -> list[gtsam.CustomFactor]:
