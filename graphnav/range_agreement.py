@@ -21,8 +21,8 @@ from graphnav.solvers import batch
 if TYPE_CHECKING:
     import gtsam
 
-#: Each step of the narrowing.
-_NARROWER = 4.0
+#: Where the narrowing starts below the worst range, and each step of it.
+_START, _NARROWER = 0.25, 4.0
 #: Joint sigmas at which a step of the narrowing is done, at which the last one is, and iterations at most.
 _ON_THE_WAY, _ROUGH_SIGMAS, _ITERATIONS = 30.0, 3.0, 10
 
@@ -38,7 +38,7 @@ def agreeing_ranges(graph: SmoothingGraph, config: UwbConfig, values: gtsam.Valu
     assert family is not None
     values = _roughly(graph, values, _ON_THE_WAY)
     off = np.abs(family.residuals(values)[0])
-    scale = max(float(off.max(initial=0.0)), config.loss_sigmas)
+    scale = max(_START * float(off.max(initial=0.0)), config.loss_sigmas)
     while off.max(initial=0.0) > config.reject_sigmas and scale >= config.loss_sigmas:
         last = scale == config.loss_sigmas
         robust = replace(graph, ranges=replace(family, loss=config.loss, scale=scale))

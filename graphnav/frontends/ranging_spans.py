@@ -14,9 +14,9 @@ from graphnav.log import Uwb
 _FORGOTTEN = 10.0
 #: Without a declared correlation time, s.
 _APART_S = 2.0
-#: Keyframes in one correlation time: halfway between two the Markov error is known to a quarter of its sigma, and what
-#: is left counts as white noise.
-_PER_TIME = 8.0
+#: Keyframes in one correlation time: halfway between two the Markov error is known to a fifth of its sigma, and what is
+#: left counts as white noise.
+_PER_TIME = 10.0
 
 
 @dataclass(frozen=True)
