@@ -23,6 +23,7 @@ Integers = npt.NDArray[np.int64]
 Booleans = npt.NDArray[np.bool_]
 
 _TAG = "1"
+_STANDS_M_S = 1e-9  # at a stop the speed is zero but for rounding
 
 
 @dataclass(frozen=True)
@@ -116,8 +117,7 @@ class Ranger:
         place = np.searchsorted(self._anchors.from_s, times, side="right") - 1
         turn = (ticks - 1) % self._anchors.turn
         distance = np.linalg.norm(tag_n - self._anchors.pos_n_m[place, turn], axis=1)
-        after = np.searchsorted(t_s, times)
-        rests = (motion.speed_m_s[after] == 0) & (motion.speed_m_s[after - 1] == 0)
+        rests = np.interp(times, t_s, np.abs(motion.speed_m_s)) < _STANDS_M_S
         near = distance <= self._spec.reach_m
         self._blocks.append((times[near], (place * self._anchors.turn + turn)[near], distance[near], rests[near]))
 
