@@ -140,7 +140,7 @@ def _add_simulate(group: Any) -> None:
     added = "shearer-mems: error setting 1-12 of the paper's Table 2, added on top"
     parser.add_argument("--par", type=int, metavar="N", help=added)
     parser.add_argument("--hours", type=float, metavar="H", help="full-shift: length of the log")
-    parser.add_argument("--sensors", metavar="A,B,C", help="full-shift: imu,odometer,closed-path")
+    parser.add_argument("--sensors", metavar="A,B,C", help="shearer-mems, full-shift: of imu,odometer,closed-path,uwb")
     parser.add_argument("--cycles", type=int, metavar="N", help="shearer-lidar: number of cutting cycles, 1 to 6")
     scans = "shearer-lidar: raw scans around the stops at the ends of the face (default: with them)"
     parser.add_argument("--scans", action=argparse.BooleanOptionalAction, help=scans)

@@ -6,23 +6,29 @@ always passes.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import fields, replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from strapdown import integrate
 
+from graphnav import cli
+from graphnav.errors import ConfigError
 from graphnav.log import SensorLog
-from graphnav.simulation.face_end import build_machine, simulate_face_end
+from graphnav.readers import read
+from graphnav.simulation import simulate
+from graphnav.simulation.face_end import simulate_face_end
 from graphnav.simulation.ranging import RangeErrors, unit_markov
 from graphnav.simulation.sensors import earth_rate_n
 from graphnav.simulation.uwb_figures import SITES, UNDERGROUND
 from graphnav.simulation.uwb_truth import uwb_truth
-from graphnav.simulation.world import streams
 
 FALSE_ALARM = 1e-5
 MG, DEG_H = 9.80665e-3, np.pi / 180 / 3600
@@ -52,9 +58,9 @@ def tag_n(log: SensorLog, t_s: np.ndarray) -> np.ndarray:
     """The tag at times on or midway between the rows of truth: mean of positions, half the turn."""
     truth, row = log.truth, np.round(t_s * 200).astype(int)
     before, after = row // 2, (row + 1) // 2
-    rot = Rotation.from_quat(truth.quat_nb.copy(), scalar_first=True)
+    rot = Rotation.from_quat(truth.quat_nb, scalar_first=True)
     half = rot[before] * Rotation.from_rotvec((rot[before].inv() * rot[after]).as_rotvec() / 2)
-    return (truth.pos_n_m[before] + truth.pos_n_m[after]) / 2 + half.apply(log.uwb.tag[0].lever_arm_b_m.copy())
+    return (truth.pos_n_m[before] + truth.pos_n_m[after]) / 2 + half.apply(np.array(log.uwb.tag[0].lever_arm_b_m))
 
 
 def anchor_n(log: SensorLog) -> np.ndarray:
@@ -126,7 +132,7 @@ def test_the_tag_travels_as_the_paper_has_it(site: str, rests: Any, end_s: float
     for start, end in rests:
         still |= (truth.t_s >= start) & (truth.t_s <= end)
     speed = np.linalg.norm(truth.vel_n_m_s, axis=1)
-    assert (speed[still] == 0).all()
+    assert speed[still].max() < 1e-12  # 0 but for rounding at the stop
     assert np.median(speed[~still]) == pytest.approx(4 / 60)
     assert (speed[~still][1:-1] > 0).all()
     tag = tag_n(log, truth.t_s)
@@ -139,7 +145,7 @@ def test_the_tag_travels_as_the_paper_has_it(site: str, rests: Any, end_s: float
 
 def test_vibration_has_its_sigma_while_moving_and_none_at_rest() -> None:
     truth = clean("underground").truth
-    turn = Rotation.from_quat(truth.quat_nb.copy(), scalar_first=True).as_rotvec(degrees=True)
+    turn = Rotation.from_quat(truth.quat_nb, scalar_first=True).as_rotvec(degrees=True)
     moving = (truth.t_s > 48) & (truth.t_s < 150)
     # 102 s of a process that is new about every second: 200 values of two axes, sigma good to 5 % at 1 sigma
     assert turn[moving][:, [0, 2]].std() == pytest.approx(0.2, rel=0.22)
@@ -198,10 +204,9 @@ def test_sites_declare_the_figures_of_the_scenario(site: str, figures: tuple[flo
 
 
 def calm(log: SensorLog, truth: RangeErrors) -> np.ndarray:
-    """Factor on the sigmas: `rest_factor` where the machine stands at a range's time, and stood a sample before."""
+    """Factor on the sigmas: `rest_factor` where the machine stands at a range's time."""
     speed = np.linalg.norm(log.truth.vel_n_m_s, axis=1)
-    moves = np.interp([truth.t_s, truth.t_s - 0.01], log.truth.t_s, speed).any(axis=0)
-    return np.where(moves, 1.0, log.uwb.rest_factor)
+    return np.where(np.interp(truth.t_s, log.truth.t_s, speed) < 1e-9, log.uwb.rest_factor, 1.0)
 
 
 @pytest.mark.parametrize("site", SITES)
@@ -240,7 +245,7 @@ def test_markov_process_is_exact_over_gaps() -> None:
 
 def test_constants_belong_to_their_anchors_with_the_declared_sigma() -> None:
     constants = []
-    for seed in range(60):
+    for seed in range(40):
         truth = uwb_truth("face-end-uwb", seed)
         by_anchor = [truth.constant_m[truth.anchor_id == name] for name in "1234"]
         assert all((values == values[0]).all() for values in by_anchor)
@@ -249,21 +254,122 @@ def test_constants_belong_to_their_anchors_with_the_declared_sigma() -> None:
 
 
 def test_anchors_are_off_by_the_declared_survey() -> None:
-    draws = []
-    for seed in range(12):
-        log, truth = simulate_face_end("short", SHORT, seed), None
-        exact = simulate_face_end("short", SHORT, seed, noise=False)
-        of = streams(seed)
-        machine = build_machine(SHORT, of.machine)
-        assert machine.count == len(log.imu)
-        assert all(a.sigma_m == 0.001 for a in log.uwb.anchor)
-        true_n = _true_anchors(seed)
-        draws.append((true_n - [a.pos_n_m for a in exact.uwb.anchor]) / 0.001)
-        assert truth is None
-    assert_unit_normal(np.array(draws))
+    """The difference of true and declared distance is the survey's error along one direction: a unit normal."""
+    log, first = clean("underground"), slice(0, 4)
+    declared_m = np.linalg.norm(tag_n(log, log.uwb.t_s[first]) - anchor_n(log)[first], axis=1)
+    off_m = np.array([uwb_truth("face-end-uwb", seed).distance_m[first] - declared_m for seed in range(60)])
+    assert_unit_normal(off_m / log.uwb.anchor[0].sigma_m)
 
 
-def _true_anchors(seed: int) -> np.ndarray:
-    from graphnav.simulation.ranging import surveyed
+def test_only_underground_anchor_1_has_multipath() -> None:
+    assert not any(truth.delayed.any() for truth in truths("surface"))
+    late = np.concatenate([truth.multipath_m[truth.anchor_id == "1"] for truth in truths()])
+    others = np.concatenate([truth.multipath_m[truth.anchor_id != "1"] for truth in truths()])
+    assert not others.any()
+    count = int((late > 0).sum())
+    assert stats.binomtest(count, len(late), 0.05).pvalue > FALSE_ALARM
+    assert stats.kstest(late[late > 0], "expon", args=(0, 0.3)).pvalue > FALSE_ALARM
 
-    return surveyed(SHORT.ranging, streams(seed).uwb.spawn(2)[0], 1.0).pos_n_m[0]
+
+def test_nlos_ranges_are_a_share_of_all_with_a_uniform_delay() -> None:
+    options = {"site": "surface", "nlos_share": 0.2, "nlos_max_m": 2.0}
+    truth = uwb_truth("face-end-uwb", 4, **options)
+    for name in "1234":
+        late = truth.nlos_m[truth.anchor_id == name]
+        assert stats.binomtest(int((late > 0).sum()), len(late), 0.2).pvalue > FALSE_ALARM
+        assert stats.kstest(late[late > 0], "uniform", args=(0, 2.0)).pvalue > FALSE_ALARM
+    assert (truth.delayed == (truth.nlos_m > 0)).all()
+    plain = uwb_truth("face-end-uwb", 4, site="surface")
+    np.testing.assert_allclose(truth.total_m - truth.nlos_m, plain.total_m, rtol=0, atol=1e-12)
+
+
+def test_ranges_are_true_distances_with_the_errors_told_for_scoring() -> None:
+    log, truth = simulate("face-end-uwb", 4, nlos_share=0.2), uwb_truth("face-end-uwb", 4, nlos_share=0.2)
+    np.testing.assert_array_equal(log.uwb.t_s, truth.t_s)
+    np.testing.assert_array_equal(log.uwb.anchor_id, truth.anchor_id)
+    np.testing.assert_allclose(log.uwb.range_m, truth.distance_m + truth.total_m, rtol=0, atol=1e-12)
+
+
+# UWB alone ----------------------------------------------------------------------------------------------------
+
+
+def alone_error_m(log: SensorLog) -> np.ndarray:
+    """Mean absolute error of least squares over four ranges in turn, each started at the truth.
+
+    Ranges to anchors that lie nearly in a plane have a second minimum on its other side; the start at the truth
+    leaves that ambiguity out, so that what is judged is the noise of the ranges and the shape of the anchors.
+    """
+    places = np.array([anchor.pos_n_m for anchor in log.uwb.anchor])
+    ranges, t_s = log.uwb.range_m[: len(log.uwb) // 4 * 4].reshape(-1, 4), log.uwb.t_s[1::4]
+    true_n = tag_n(log, t_s[: len(ranges)])
+    found = [
+        least_squares(lambda x, r=r: np.linalg.norm(x - places, axis=1) - r, start, method="lm").x
+        for r, start in zip(ranges[::4], true_n[::4], strict=True)
+    ]
+    return np.abs(np.array(found) - true_n[::4]).mean(axis=0)
+
+
+@pytest.mark.parametrize(
+    ("site", "x_m", "z_m", "share"), [("surface", 0.062, 0.089, 0.15), ("underground", 0.128, 0.239, 0.4)]
+)
+def test_uwb_alone_is_about_as_good_as_in_the_paper(site: str, x_m: float, z_m: float, share: float) -> None:
+    """Means over eight seeds, which scatter by a sixth at most and so are good to 6 %, beside the paper's.
+
+    The scenario's figures are fixed, and underground they give more than the paper has: 0.142 / 0.308 m (standard
+    deviation of a seed 0.014 / 0.049 m), 29 % more in z. The bound there allows for that, it does not deny it; at the
+    surface it is 0.067 / 0.087 m.
+    """
+    error = np.mean([alone_error_m(simulate("face-end-uwb", seed, site=site)) for seed in range(8)], axis=0)
+    assert error[0] == pytest.approx(x_m, rel=share)
+    assert error[2] == pytest.approx(z_m, rel=share)
+
+
+# Use ----------------------------------------------------------------------------------------------------------
+
+
+def same(one: SensorLog, other: SensorLog) -> bool:
+    pairs = [(getattr(one.uwb, f.name), getattr(other.uwb, f.name)) for f in fields(one.uwb) if f.name != "anchor"]
+    arrays = [(a, b) for a, b in pairs if isinstance(a, np.ndarray)]
+    return all((a == b).all() for a, b in arrays) and bool((one.imu.gyro_b_rad_s == other.imu.gyro_b_rad_s).all())
+
+
+def test_the_seed_tells_the_log() -> None:
+    assert same(simulate("face-end-uwb", 7), simulate("face-end-uwb", 7))
+    assert not same(simulate("face-end-uwb", 7), simulate("face-end-uwb", 8))
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = str(tmp_path / "L")
+    assert cli.main(["simulate", "face-end-uwb", "--site", "underground", "--seed", "5", "-o", folder]) == 0
+    log = read(folder)
+    assert log.name == "face-end-uwb_seed5"
+    assert same(log, simulate("face-end-uwb", 5, site="underground"))
+    capsys.readouterr()
+    assert cli.main(["info", folder, "--json"]) == 0
+    known = json.loads(capsys.readouterr().out)
+    assert known["tables"]["uwb"] == {"rows": 6640, "start_s": 0.025, "end_s": 166.0, "rate_hz": 40.0, "gaps": []}
+    assert known["suspicious"] == []
+    words = ["simulate", "face-end-uwb", "--site", "surface", "--nlos-share", "0.2", "--nlos-max", "2", "-o", folder]
+    assert cli.main(words) == 0
+    assert read(folder).name == "face-end-uwb_nlos_max_m=2_nlos_share=0.2_site=surface_seed0"
+
+
+@pytest.mark.parametrize(
+    ("options", "fragments"),
+    [
+        ({"site": "moon"}, ["'moon'", "surface, underground"]),
+        ({"nlos_share": 1.5}, ["nlos_share = 1.5", "0 to 1"]),
+        ({"nlos_max_m": -1.0}, ["nlos_max_m = -1.0", "0 to 100"]),
+        ({"par": 1}, ['"par"', "site, nlos_share, nlos_max_m"]),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any], fragments: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        simulate("face-end-uwb", **options)
+    for fragment in fragments:
+        assert fragment in str(caught.value)
+
+
+def test_only_scenarios_with_uwb_have_its_truth() -> None:
+    with pytest.raises(ConfigError, match="shearer-lidar: no UWB"):
+        uwb_truth("shearer-lidar")

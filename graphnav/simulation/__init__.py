@@ -21,13 +21,14 @@ SCENARIOS: dict[str, dict[str, Any]] = {
         "options": {
             "interval_m": "spacing of the closed-path points: 2 (default), 6 or 10",
             "par": "error setting 1-12 of the paper's Table 2 added on top; 0 (default) adds nothing",
+            "sensors": "imu,odometer,closed-path (default); closed-path may be left out, uwb (at the near end) added",
         },
     },
     "full-shift": {
         "description": "tactical IMU and odometer on a shearer, 350 m face, up to 6 cutting cycles, 7.1 h",
         "options": {
             "hours": "length of the log, 0.02 to 7.1 (default)",
-            "sensors": "imu,odometer,closed-path (default); closed-path may be left out",
+            "sensors": "imu,odometer,closed-path (default); closed-path may be left out, uwb (at the near end) added",
         },
     },
     "shearer-lidar": {

@@ -23,6 +23,7 @@ Integers = npt.NDArray[np.int64]
 Booleans = npt.NDArray[np.bool_]
 
 _TAG = "1"
+_STANDS_M_S = 1e-9  # at a stop the speed is zero but for rounding
 
 
 @dataclass(frozen=True)
@@ -110,16 +111,26 @@ class Ranger:
         """
         rate_hz = self._spec.rate_hz
         ticks = np.arange(_ticks(t_s[0], rate_hz) + 1, _ticks(t_s[-1], rate_hz) + 1)
+        ticks = ticks[self._may_reach(ticks / rate_hz, t_s, motion.pos_n)]
+        if len(ticks) == 0:
+            return
         times = ticks / rate_hz
         pos_n = CubicHermiteSpline(t_s, motion.pos_n, motion.vel_n)(times)
         tag_n = pos_n + Slerp(t_s, rot_nb)(times).apply(self._spec.lever_arm_b_m)
         place = np.searchsorted(self._anchors.from_s, times, side="right") - 1
         turn = (ticks - 1) % self._anchors.turn
         distance = np.linalg.norm(tag_n - self._anchors.pos_n_m[place, turn], axis=1)
-        after = np.searchsorted(t_s, times)
-        rests = (motion.speed_m_s[after] == 0) & (motion.speed_m_s[after - 1] == 0)
+        rests = np.interp(times, t_s, np.abs(motion.speed_m_s)) < _STANDS_M_S
         near = distance <= self._spec.reach_m
         self._blocks.append((times[near], (place * self._anchors.turn + turn)[near], distance[near], rests[near]))
+
+    def _may_reach(self, times: Array, t_s: Array, pos_n: Array) -> Booleans:
+        """Spare a shift the exact distances while the machine is far from all places of the anchors."""
+        middle, spec = self._anchors.pos_n_m.mean(axis=(0, 1)), self._spec
+        spread = np.linalg.norm(self._anchors.pos_n_m - middle, axis=-1).max() + np.linalg.norm(spec.lever_arm_b_m)
+        away = np.interp(times, t_s, np.linalg.norm(pos_n - middle, axis=1))
+        may: Booleans = away <= spec.reach_m + spread + 0.1
+        return may
 
     def errors(self) -> RangeErrors:
         """Draw the errors of all ranges so far; to be called once."""
@@ -142,7 +153,7 @@ class Ranger:
 
     def table(self, errors: RangeErrors) -> Uwb:
         """The log's part: measured ranges, and the sigmas that their errors are drawn with."""
-        spec = self._spec
+        spec, groups = self._spec, any(section.group is not None for section in self._anchors.declared)
         return Uwb(
             t_s=errors.t_s,
             tag_id=np.full(len(errors.t_s), _TAG, dtype=object),
@@ -153,6 +164,8 @@ class Ranger:
             markov_sigma_m=spec.markov_m,
             markov_time_s=spec.markov_time_s,
             rest_factor=spec.rest_factor,
+            group_sigma_m=spec.group_m if groups else None,
+            group_turn_sigma_deg=spec.group_turn_deg if groups else None,
             tag=(UwbTag(_TAG, np.array(spec.lever_arm_b_m)),),
             anchor=self._anchors.declared,
         )

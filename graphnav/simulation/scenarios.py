@@ -14,7 +14,7 @@ from typing import Any
 from graphnav.errors import ConfigError
 from graphnav.simulation.lidar_figures import LidarSpec
 from graphnav.simulation.machine_figures import MEMS_IMU, ImuGrade, MachineSpec, Triple
-from graphnav.simulation.uwb_figures import FaceEndSpec, face_end_uwb
+from graphnav.simulation.uwb_figures import CARRIER, FaceEndSpec, RangingSpec, face_end_uwb
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +41,7 @@ class ShearerSpec(MachineSpec):
     lidar: LidarSpec | None = None
     interval_m: float = 2.0
     sensors: tuple[str, ...] = ("imu", "odometer", "closed-path")
+    ranging: RangingSpec = CARRIER  # at the near end, if the sensors have "uwb"
     odometer_sigma_m_s: float = 0.01
     push_sigma_m: float = 0.03
     along_sigma_m: float = 0.03
@@ -114,29 +115,37 @@ ADDED_ERRORS: tuple[ImuGrade, ...] = (
 )
 INTERVALS_M = (2.0, 6.0, 10.0)
 SENSORS = ("imu", "odometer", "closed-path")
+ALL_SENSORS = (*SENSORS, "uwb")
 MIN_HOURS, MAX_HOURS = 0.02, 7.1
 
 
-def shearer_mems(interval_m: float = 2.0, par: int = 0) -> ShearerSpec:
-    """`shearer-mems` with a closed-path interval and an added error setting."""
+def shearer_mems(interval_m: float = 2.0, par: int = 0, sensors: str | Iterable[str] = SENSORS) -> ShearerSpec:
+    """`shearer-mems` with a closed-path interval, an added error setting and some of its sensors."""
     if interval_m not in INTERVALS_M:
         raise ConfigError(f"interval_m = {interval_m!r}, expected one of {', '.join(map(str, INTERVALS_M))}")
     if isinstance(par, bool) or par not in range(len(ADDED_ERRORS)):
         raise ConfigError(f"par = {par!r}, expected a whole number 0 to {len(ADDED_ERRORS) - 1}")
-    return replace(MEMS, interval_m=float(interval_m), imu=MEMS.imu.with_added(ADDED_ERRORS[int(par)]))
+    imu = MEMS.imu.with_added(ADDED_ERRORS[int(par)])
+    return replace(MEMS, interval_m=float(interval_m), imu=imu, sensors=_chosen("shearer-mems", sensors))
 
 
 def full_shift(hours: float = MAX_HOURS, sensors: str | Iterable[str] = SENSORS) -> ShearerSpec:
     """`full-shift`, its first `hours`, with some of its sensors."""
     if isinstance(hours, bool) or not isinstance(hours, int | float) or not MIN_HOURS <= hours <= MAX_HOURS:
         raise ConfigError(f"hours = {hours!r}, expected {MIN_HOURS} to {MAX_HOURS}")
+    return replace(FULL_SHIFT, duration_s=3600.0 * hours, sensors=_chosen("full-shift", sensors))
+
+
+def _chosen(scenario: str, sensors: str | Iterable[str]) -> tuple[str, ...]:
+    """The sensors that are wanted, checked; by their names or a text of names."""
     chosen = tuple(s.strip() for s in sensors.split(",")) if isinstance(sensors, str) else tuple(sensors)
     for sensor in chosen:
-        if sensor not in SENSORS:
-            raise ConfigError(f'full-shift: sensor "{sensor}" is not available yet; choose from {", ".join(SENSORS)}')
+        if sensor not in ALL_SENSORS:
+            known = ", ".join(ALL_SENSORS)
+            raise ConfigError(f'{scenario}: sensor "{sensor}" is not available yet; choose from {known}')
     if not {"imu", "odometer"} <= set(chosen):
-        raise ConfigError('full-shift: sensors must include "imu" and "odometer"')
-    return replace(FULL_SHIFT, duration_s=3600.0 * hours, sensors=chosen)
+        raise ConfigError(f'{scenario}: sensors must include "imu" and "odometer"')
+    return chosen
 
 
 def shearer_lidar(cycles: int = 6, scans: bool = True, draw: bool = False) -> ShearerSpec:

@@ -23,15 +23,16 @@ from graphnav.log import (
     Truth,
 )
 from graphnav.simulation import sensors as sense
+from graphnav.simulation.carrier import carrier_ranger
 from graphnav.simulation.imu import samples
 from graphnav.simulation.naming import log_name
+from graphnav.simulation.ranging import Ranger
 from graphnav.simulation.scanner import Scanner
 from graphnav.simulation.scenarios import ShearerSpec
 from graphnav.simulation.world import Errors, Streams, World, build_world, draw_errors, streams
 
 Array = npt.NDArray[np.float64]
 
-_BLOCK = 65_536  # states worked on at a time: bounds the memory of a full shift
 _TRUTH_EVERY_SAMPLE_S = 3600.0  # longer logs carry truth at the odometer's rate
 
 
@@ -46,7 +47,8 @@ def simulate_shearer(
     world = build_world(spec, of.geometry, of.machine)
     errors = draw_errors(spec, of.errors, on)
     scanner = None if spec.lidar is None else Scanner(world, spec.lidar, of, on)
-    imu, odometer, truth = _record(world, errors, of, on, scanner)
+    ranger = carrier_ranger(world, of, on)
+    imu, odometer, truth = _record(world, errors, of, on, scanner, ranger)
     face = "closed-path" in spec.sensors
     return SensorLog(
         name=log_name(scenario, options or {}, seed),
@@ -57,15 +59,16 @@ def simulate_shearer(
         face=_face(spec) if face else None,
         surveyed=_surveyed(world, errors, by_end=face),
         events=_events(world),
+        uwb=None if ranger is None else ranger.table(ranger.errors()),
         truth=truth,
         **({} if scanner is None else scanner.tables()),
     )
 
 
 def _record(
-    world: World, errors: Errors, of: Streams, on: float, scanner: Scanner | None
+    world: World, errors: Errors, of: Streams, on: float, scanner: Scanner | None, ranger: Ranger | None
 ) -> tuple[Imu, Odometer, Truth]:
-    """All tables, block by block, and what the scanner sees; white noise times `on`."""
+    """All tables, block by block, and what scanner and ranger measure; white noise times `on`."""
     spec, count = world.spec, world.count
     every = spec.imu_rate_hz // spec.odometer_rate_hz
     truth_every = 1 if count <= _TRUTH_EVERY_SAMPLE_S * spec.imu_rate_hz else every
@@ -73,8 +76,7 @@ def _record(
     gyro_b, accel_b = np.empty((count, 3)), np.empty((count, 3))
     speeds: list[Array] = []
     rows: list[tuple[Array, Array, Array, Array]] = []
-    for first in range(0, count, _BLOCK):
-        last = min(first + _BLOCK, count)
+    for first, last in world.blocks():
         t_s, motion, rot_nm = world.states(first, last)
         rot_nb = world.body(rot_nm)
         gyro_b[first:last], accel_b[first:last] = samples(spec, motion, rot_nb, biases, of.imu, on)
@@ -88,6 +90,8 @@ def _record(
         if scanner is not None:
             scans = new & (instants % scanner.every == 0) & (instants > 0)
             scanner.add(t_s[scans], motion.pos_n[scans], rot_nb[scans])
+        if ranger is not None:
+            ranger.add(t_s, motion, rot_nb)
     imu_t_s = np.arange(1, count + 1) / spec.imu_rate_hz
     speed = (1 + errors.odometer_scale) * np.concatenate(speeds)
     speed += on * spec.odometer_sigma_m_s * of.odometer.standard_normal(len(speed))

@@ -45,6 +45,8 @@ class RangingSpec:
     rate_hz: float = 40.0
     reach_m: float = math.inf
     survey_m: float = 0.001
+    group_m: float = 0.03  # where anchors are moved: of each axis of the displacement that they share
+    group_turn_deg: float = 0.5
     lever_arm_b_m: Triple = (0.0, 0.0, -0.3)
 
 
@@ -100,6 +102,8 @@ UNDERGROUND = replace(
         multipath=Multipath(anchor=0, share=0.05, mean_m=0.3),
     ),
 )
+#: For a shift: anchors on a carrier, used where the machine is near them.
+CARRIER = replace(UNDERGROUND.ranging, reach_m=10.0, survey_m=0.005)
 SITES = {"surface": SURFACE, "underground": UNDERGROUND}
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+from graphnav.errors import ConfigError
+from graphnav.simulation.carrier import carrier_ranger
 from graphnav.simulation.face_end import build_machine, face_end_ranger
-from graphnav.simulation.ranging import RangeErrors
+from graphnav.simulation.ranging import RangeErrors, Ranger
 from graphnav.simulation.scenarios import resolve
 from graphnav.simulation.uwb_figures import FaceEndSpec
-from graphnav.simulation.world import streams
+from graphnav.simulation.world import Machine, build_world, streams
 
 
 def uwb_truth(scenario: str, seed: int = 0, **options: Any) -> RangeErrors:
@@ -23,12 +25,16 @@ def uwb_truth(scenario: str, seed: int = 0, **options: Any) -> RangeErrors:
     ConfigError
         Unknown scenario or option, a value out of range, or a scenario without UWB.
     """
-    from graphnav.errors import ConfigError
-
     spec, of = resolve(scenario, options), streams(seed)
-    if not isinstance(spec, FaceEndSpec):
-        raise ConfigError(f"{scenario}: no UWB and so no ranges; use face-end-uwb")
-    machine, ranger = build_machine(spec, of.machine), face_end_ranger(spec, of, on=1.0)
-    t_s, motion, rot_nm = machine.states(0, machine.count)
-    ranger.add(t_s, motion, machine.body(rot_nm))
+    if isinstance(spec, FaceEndSpec):
+        machine: Machine = build_machine(spec, of.machine)
+        ranger: Ranger | None = face_end_ranger(spec, of, on=1.0)
+    else:
+        machine = world = build_world(spec, of.geometry, of.machine)
+        ranger = carrier_ranger(world, of, on=1.0)
+    if ranger is None:
+        raise ConfigError(f"{scenario}: no UWB and so no ranges; use face-end-uwb, or uwb among the sensors")
+    for first, last in machine.blocks():
+        t_s, motion, rot_nm = machine.states(first, last)
+        ranger.add(t_s, motion, machine.body(rot_nm))
     return ranger.errors()

@@ -6,6 +6,7 @@ machine. `Errors` holds what the sensors and the people at the start got wrong.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ from graphnav.simulation.path import Line, first_line, pushed_line
 from graphnav.simulation.scenarios import ShearerSpec
 
 Array = npt.NDArray[np.float64]
+
+_BLOCK = 65_536  # states worked on at a time: bounds the memory of a full shift
 
 
 class Streams(NamedTuple):
@@ -77,6 +80,11 @@ class Machine:
     def count(self) -> int:
         """Number of IMU samples."""
         return len(self.wobble_rad) - 1
+
+    def blocks(self) -> Iterator[tuple[int, int]]:
+        """First and last instants of the blocks that a shift is worked through in; neighbours share one."""
+        for first in range(0, self.count, _BLOCK):
+            yield first, min(first + _BLOCK, self.count)
 
     def states(self, first: int, last: int) -> tuple[Array, Motion, Rotation]:
         """Times (s), motion and machine attitude ``R_nm`` of instants `first` to `last`, both included."""
