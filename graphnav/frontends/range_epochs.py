@@ -6,6 +6,7 @@ Anchors answer in turn, so the ranges of an epoch are up to `span_s` apart and t
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,8 @@ UNKNOWN_M = 100.0
 _SPAN_S, _VOTE_S = 0.1, 20.0
 #: Without a rest at the start, the seconds of ranges that give the first position.
 _FIRST_S = 1.0
+#: Seconds of ranges of which initial values take medians.
+_MEDIAN_S = 0.5
 
 
 Rows = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
@@ -47,6 +50,20 @@ class RangeEpochs:
     def only(self, rows: Rows) -> RangeEpochs:
         """Some of them."""
         return replace(self, t_s=self.t_s[rows], ranges_m=self.ranges_m[rows], lever_arm_b=self.lever_arm_b[rows])
+
+
+    def medians(self, span_s: float = _MEDIAN_S) -> RangeEpochs:
+        """One epoch for every `span_s` and tag, of the median range to each anchor: reflections drop out."""
+        _, tag = np.unique(self.lever_arm_b, axis=0, return_inverse=True)
+        number = np.floor((self.t_s - self.t_s[0]) / span_s).astype(np.int64) * (int(tag.max()) + 1) + tag.ravel()
+        order = np.argsort(number, kind="stable")
+        parts = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # an anchor without a range has none
+            ranges = np.array([np.nanmedian(self.ranges_m[part], axis=0) for part in parts])
+        t_s = np.array([self.t_s[part].mean() for part in parts])
+        lever = np.array([self.lever_arm_b[part[0]] for part in parts])
+        return replace(self, t_s=t_s, ranges_m=ranges, lever_arm_b=lever)
 
 
 def total_sigma(uwb: Uwb) -> Array:
@@ -202,8 +219,8 @@ def start_position(log: SensorLog, rotation_nb: Array, start_s: float, rest_s: A
     now = (epochs.t_s <= until) & (epochs.lever_arm_b == epochs.lever_arm_b[0]).all(axis=1)
     answers = [column[np.isfinite(column)] for column in epochs.ranges_m[now].T]
     ranges = np.array([np.median(column) if len(column) else np.nan for column in answers])
-    early = np.flatnonzero(epochs.t_s <= until + _VOTE_S / 2)
-    near = np.median(positions(epochs.only(early)).pos_n[now[early]], axis=0)
+    early = epochs.only(np.flatnonzero(epochs.t_s <= until + _VOTE_S / 2)).medians()
+    near = np.median(positions(early).pos_n[early.t_s <= until], axis=0)
     calm = uwb.rest_factor if resting else 1.0
     span = max(until - first, 1e-3)
     shared = min(1.0, 2 * (uwb.markov_time_s or 0.0) / span) * (uwb.markov_sigma_m or 0.0) ** 2
@@ -221,7 +238,7 @@ def fixes_by_ranges(log: SensorLog, rotation_nb: Array) -> tuple[tuple[float, Ar
     positions wrong by the lever arm where the machine turns.
     """
     try:
-        epochs = range_epochs(log)
+        epochs = range_epochs(log).medians()
         found = positions(epochs).pos_n - epochs.lever_arm_b @ rotation_nb.T
     except LogError:
         return ()
