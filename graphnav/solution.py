@@ -25,7 +25,7 @@ from graphnav.outcome import estimated_biases
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, X
 from graphnav.range_agreement import agreeing_ranges
-from graphnav.ranges import RangeReadings, RangeStates, range_readings
+from graphnav.ranges import RangeReadings, RangeStates, range_readings, uses_ranges
 from graphnav.solvers import absolute, batch, incremental
 
 if TYPE_CHECKING:
@@ -70,15 +70,23 @@ def solve_batch(problem: Problem, stages: Stages) -> Solved:
         start, gyro_bias = start_state(problem)
         data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
         values = initial_values(problem, data, start)
+    if uses_ranges(problem) and problem.has_calibration and not is_unknown(problem.initial):
+        values = _roughly(problem, stages, data, values, ranges=False)
     if uses_legs(problem):
-        values = _without_legs(problem, stages, data, values)
+        values = _roughly(problem, stages, data, values)
     return _solve_rounds(problem, stages, data, values, [])
 
 
-def _without_legs(problem: Problem, stages: Stages, data: Preintegrated, values: gtsam.Values) -> gtsam.Values:
-    """Roughly what the other sensors say: readings are brought together along a path right over a few seconds."""
+def _roughly(
+    problem: Problem, stages: Stages, data: Preintegrated, values: gtsam.Values, ranges: bool = True
+) -> gtsam.Values:
+    """Roughly what is said without legs, and without ranges where these are not wanted.
+
+    Readings of legs are brought together along a path right over a few seconds. An odometer whose scale is not yet
+    known leads metres aside, where ranges to anchors near one plane put the machine on its other side.
+    """
     with stages.stage("assemble"):
-        graph = build_graph(problem, data, ranges=_range_readings(problem, data, values))
+        graph = build_graph(problem, data, ranges=_range_readings(problem, data, values) if ranges else None)
     with stages.stage("solve"):
         most = problem.config.batch.max_iterations
         return batch.solve(graph, values, max_iterations=most, tolerance_sigma=_ROUGH_SIGMAS, exact=False).values
@@ -95,7 +103,7 @@ def solve_isam2(problem: Problem, stages: Stages) -> Solved:
         passed = incremental.solve(problem, data, factors, start, problem.config.isam2, tick)
         del factors
     # legs are condensed along the same path as in batch: where it is another one, so is the result, by up to a sigma
-    values = _without_legs(problem, stages, data, passed.values) if uses_legs(problem) else passed.values
+    values = _roughly(problem, stages, data, passed.values) if uses_legs(problem) else passed.values
     solved = _solve_rounds(problem, stages, data, values, passed.predicted)
     solved.causal = passed.causal
     return solved

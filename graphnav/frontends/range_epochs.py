@@ -51,7 +51,6 @@ class RangeEpochs:
         """Some of them."""
         return replace(self, t_s=self.t_s[rows], ranges_m=self.ranges_m[rows], lever_arm_b=self.lever_arm_b[rows])
 
-
     def medians(self, span_s: float = _MEDIAN_S) -> RangeEpochs:
         """One epoch for every `span_s` and tag, of the median range to each anchor: reflections drop out."""
         _, tag = np.unique(self.lever_arm_b, axis=0, return_inverse=True)
