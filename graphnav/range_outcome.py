@@ -10,7 +10,7 @@ import numpy as np
 from factors.increments import npt_int
 from graphnav.log import Uwb
 from graphnav.ranges import RangeReadings
-from graphnav.run import Calibration
+from graphnav.run import Calibration, RangeResiduals
 
 if TYPE_CHECKING:
     import gtsam
@@ -48,6 +48,19 @@ def anchor_counts(
             )
         )
     return found
+
+
+def range_residuals(
+    uwb: Uwb, used: RangeReadings, left_out: RangeReadings | None, values: gtsam.Values
+) -> RangeResiduals:
+    """What the solution leaves of every range, in order of time."""
+    parts = [used] if left_out is None or not len(left_out.row) else [used, left_out]
+    row = np.concatenate([part.row for part in parts])
+    off = np.concatenate([-part.family.residuals(values)[0] * part.family.sigma_m for part in parts])
+    taken = np.repeat([True, False][: len(parts)], [len(part.row) for part in parts])
+    order = np.argsort(row)
+    row = row[order]
+    return RangeResiduals(uwb.t_s[row], np.asarray(uwb.anchor_id)[row], off[order], taken[order])
 
 
 def rejected(counts: list[AnchorCount]) -> dict[str, int]:

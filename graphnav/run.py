@@ -113,6 +113,22 @@ class Stops:
     cov: Array
 
 
+@dataclass(frozen=True, eq=False)
+class RangeResiduals:
+    """What the solution leaves of every UWB range.
+
+    Attributes
+    ----------
+    t_s : (K,) ascending; anchor : (K,) ids.
+    residual_m : (K,) measured less what pose, anchor, constant and Markov error make of it; used : (K,) or left out.
+    """
+
+    t_s: Array
+    anchor: Any
+    residual_m: Array
+    used: Any
+
+
 @dataclass(frozen=True)
 class Run:
     """A smoothed trajectory with calibration and diagnostics.
@@ -127,6 +143,7 @@ class Run:
     history : the calibration over time.
     innovations : with a Kalman filter, those of its forward pass; else None.
     stops : from a graph with covariances, the ends of the cuts and their joint covariance; else None.
+    ranges : from a graph with UWB ranges, what it leaves of each; else None.
     """
 
     trajectory: Trajectory
@@ -137,6 +154,7 @@ class Run:
     history: CalibrationHistory | None = None
     innovations: Innovations | None = None
     stops: Stops | None = None
+    ranges: RangeResiduals | None = None
 
     def save(self, folder: str | Path, **options: Any) -> None:
         """Write the result files to a folder, whole or not at all."""

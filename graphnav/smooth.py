@@ -24,7 +24,7 @@ from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, UWB_METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
-from graphnav.range_outcome import anchor_counts, range_warnings, rejected
+from graphnav.range_outcome import anchor_counts, range_residuals, range_warnings, rejected
 from graphnav.run import Diagnostics, Run
 from graphnav.scanned import with_scanned_legs
 from graphnav.solution import Solved, solve_batch, solve_isam2
@@ -132,10 +132,11 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     noted = warnings(problem, solved.biases_moved)
     if solved.legs is not None and problem.log.lidar is not None:
         noted += leg_warnings(problem.log.lidar, found, solved.legs, solved.legs_left_out, problem.keyframe_s)
-    counts = []
+    counts, residuals = [], None
     if solved.ranges is not None and problem.log.uwb is not None:
         counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
         noted += range_warnings(problem.log.uwb, counts, found)
+        residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
     diagnostics = Diagnostics(
         method=method,
         converged=solved.result.converged,
@@ -147,7 +148,8 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         warnings=noted,
         history=steps,
     )
-    return Run(trajectory, found, diagnostics, problem.config, causal, history(problem, values))
+    known = history(problem, values)
+    return Run(trajectory, found, diagnostics, problem.config, causal, known, ranges=residuals)
 
 
 class _CallableModule(ModuleType):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from uwb_logs import ANCHORS, Errors, passing
 
@@ -206,3 +208,22 @@ def test_ranges_at_one_end_of_a_face_are_right_over_cycles() -> None:
     assert found.nees_position is not None and found.nees_position < 5
     assert np.linalg.norm(found.rms_m) < 0.7 * np.linalg.norm(bare.rms_m)
     assert found.rms_deg[2] < 0.5 * bare.rms_deg[2]
+
+
+def test_a_run_keeps_what_is_left_of_every_range(tmp_path: Path) -> None:
+    """As a table and a picture, beside the trajectory."""
+    log = simulate("face-end-uwb", seed=2, site="surface", nlos_share=0.1)
+    run = smoothed(log)
+    run.save(tmp_path / "run")
+    table = pq.read_table(tmp_path / "run" / "ranges.parquet").to_pydict()
+    assert log.uwb is not None and run.ranges is not None
+    assert len(table["t_s"]) == len(log.uwb)
+    assert table["anchor"] == log.uwb.anchor_id.tolist()
+    assert table["used"].count(False) == run.diagnostics.rejected["uwb"]
+    late = uwb_truth("face-end-uwb", 2, site="surface", nlos_share=0.1).delayed
+    residual, used = np.array(table["residual_m"]), np.array(table["used"])
+    # what is left of ranges is white (1.3 cm) where they are used, and most of the delay where they are not
+    assert residual[used].std() == pytest.approx(0.013, rel=0.1)
+    assert np.median(residual[late]) > 1.0
+    assert (tmp_path / "run" / "ranges.png").stat().st_size > 10_000
+    run.save(tmp_path / "run")  # a run is replaced by a run

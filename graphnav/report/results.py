@@ -1,7 +1,7 @@
 """The run folder: trajectory.parquet, trajectory.tum, config.toml and summary.json.
 
-A folder is written beside its place and renamed into it, so that a reader never meets half a result and a
-failed run leaves what was there before.
+With UWB ranges also ranges.parquet and ranges.png, what the solution leaves of each. A folder is written beside its
+place and renamed into it, so that a reader never meets half a result and a failed run leaves what was there before.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from graphnav.evaluation import Evaluation
 from graphnav.report.text import to_json
 from graphnav.trajectory import Trajectory
 
-FILES = ("trajectory.parquet", "trajectory.tum", "config.toml", "summary.json")
+FILES = ("trajectory.parquet", "trajectory.tum", "config.toml", "summary.json", "ranges.parquet", "ranges.png")
 
 _UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
 _STATE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "vx_m_s", "vy_m_s", "vz_m_s")
@@ -83,6 +83,11 @@ def save(
         _write_tum(run.trajectory, beside / "trajectory.tum")
         (beside / "config.toml").write_text(run.config.to_toml(), encoding="utf-8")
         (beside / "summary.json").write_text(to_json(_summary(run, evaluation)) + "\n", encoding="utf-8")
+        if getattr(run, "ranges", None) is not None:
+            from graphnav.report.ranges import plot, write
+
+            write(run.ranges, beside / "ranges.parquet")  # type: ignore[attr-defined]
+            plot(run.ranges, beside / "ranges.png")  # type: ignore[attr-defined]
         _move_into_place(beside, target)
     except OSError as error:
         raise GraphnavError(f"{target}: cannot write the run folder ({error.strerror or error})") from error
