@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from graphnav.report.plots import _STYLE, _save
-from graphnav.run import RangeResiduals
+
+if TYPE_CHECKING:
+    from graphnav.run import RangeResiduals
 
 #: Panels shown, of the anchors with the most ranges; and points of each, so that the picture stays small.
 _PANELS, _POINTS = 12, 20_000

@@ -20,7 +20,9 @@ from graphnav.evaluation import Evaluation
 from graphnav.report.text import to_json
 from graphnav.trajectory import Trajectory
 
-FILES = ("trajectory.parquet", "trajectory.tum", "config.toml", "summary.json", "ranges.parquet", "ranges.png")
+FILES = ("trajectory.parquet", "trajectory.tum", "config.toml", "summary.json")
+#: And with UWB ranges.
+RANGE_FILES = ("ranges.parquet", "ranges.png")
 
 _UPPER = tuple((i, j) for i in range(3) for j in range(i, 3))
 _STATE = ("x_m", "y_m", "z_m", "qw", "qx", "qy", "qz", "vx_m_s", "vy_m_s", "vz_m_s")
@@ -147,7 +149,7 @@ def check_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     if target.is_dir() and Path.cwd().is_relative_to(target):
         raise GraphnavError(f"{folder}: is the working folder or holds it; give a folder of the run's own")
     held = target.iterdir() if target.is_dir() else ()
-    foreign = sorted(item.name for item in held if item.name not in FILES)
+    foreign = sorted(item.name for item in held if item.name not in FILES + RANGE_FILES)
     if foreign and not overwrite:
         raise GraphnavError(
             f"{folder}: holds {foreign[0]}, which is no part of a run; give another folder, or "
