@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from graphnav._schema import Array
 from graphnav.report.plots import _STYLE, _save
-
-if TYPE_CHECKING:
-    from graphnav.run import RangeResiduals
 
 #: Panels shown, of the anchors with the most ranges; and points of each, so that the picture stays small.
 _PANELS, _POINTS = 12, 20_000
@@ -18,7 +16,27 @@ _PANELS, _POINTS = 12, 20_000
 _WIDE = 8.0
 
 
-def write(residuals: RangeResiduals, path: Path) -> None:
+class Residuals(Protocol):
+    """What is written and drawn: a `graphnav.run.RangeResiduals`."""
+
+    @property
+    def t_s(self) -> Array:
+        """(K,) ascending."""
+
+    @property
+    def anchor(self) -> Any:
+        """(K,) ids."""
+
+    @property
+    def residual_m(self) -> Array:
+        """(K,) what is left."""
+
+    @property
+    def used(self) -> Any:
+        """(K,) or left out."""
+
+
+def write(residuals: Residuals, path: Path) -> None:
     """Columns ``t_s, anchor, residual_m, used``."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -32,7 +50,7 @@ def write(residuals: RangeResiduals, path: Path) -> None:
     pq.write_table(pa.table(columns), path, compression="zstd")
 
 
-def plot(residuals: RangeResiduals, path: Path) -> Path:
+def plot(residuals: Residuals, path: Path) -> Path:
     """Residuals over time, anchor by anchor: those used as points, those left out as crosses."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -56,7 +74,7 @@ def plot(residuals: RangeResiduals, path: Path) -> Path:
         return _save(figure, path)
 
 
-def _panel(axis: Any, residuals: RangeResiduals, name: str) -> None:
+def _panel(axis: Any, residuals: Residuals, name: str) -> None:
     mine = residuals.anchor.astype(str) == name
     used, out = np.flatnonzero(mine & residuals.used), np.flatnonzero(mine & ~residuals.used)
     usual = 1.4826 * float(np.median(np.abs(residuals.residual_m[used if len(used) else out])))
