@@ -43,7 +43,7 @@ METHODS = ("batch", "dead-reckoning")
 _NO_SPANS = np.zeros((0, 2))
 _DIMS = {"x": 6, "l": 4, "d": 8, "a": 4, "s": 1}
 #: Tables and sections that only a graph with an IMU makes use of.
-_UNUSED = {"odometer": "table odometer", "face": "section [face]", "stereo": "table stereo"}
+_UNUSED = {"odometer": "table odometer", "face": "section [face]", "stereo_pairs": "table stereo"}
 
 
 def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:
