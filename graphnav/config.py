@@ -129,6 +129,17 @@ class UwbConfig(_Section):
     reject_sigmas: float = Field(4.0, gt=0, description="ranges that are off by more are left out in the end")
 
 
+class RelativePoseConfig(_Section):
+    """Motions of the camera: given as relative poses, or found from its images."""
+
+    use: bool = True
+    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
+        "geman-mcclure", description="how motions that disagree are found; none: all count in full"
+    )
+    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
+    reject_sigmas: float = Field(4.0, gt=0, description="motions that are off by more are left out in the end")
+
+
 class FilterConfig(_Section):
     """The error-state Kalman filter of the methods ekf, rts and rts-online."""
 
@@ -193,6 +204,7 @@ class Config(_Section):
     position: PositionConfig = PositionConfig()
     lidar: LidarConfig = LidarConfig()
     uwb: UwbConfig = UwbConfig()
+    relative_pose: RelativePoseConfig = RelativePoseConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()

@@ -70,6 +70,8 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
         wanted += [t for c in cycles for t in (c.start_s, c.end_s) if t is not None]
     if log.imu is None and log.lidar_points is not None and log.lidar is not None and config.lidar.use:
         wanted += np.unique(log.lidar_points.t_s).tolist()
+    if log.imu is not None and log.relative_pose is not None and config.relative_pose.use:
+        wanted += log.relative_pose.t_from_s.tolist() + log.relative_pose.t_to_s.tolist()
     ranging = () if log.uwb is None or not config.uwb.use else ranging_spans(log.uwb, start, end)
     if log.uwb is not None:
         wanted += ranging_keyframes(log.uwb, ranging, config.keyframes.interval_s).tolist()

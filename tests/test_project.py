@@ -66,7 +66,7 @@ FLOORS = (
         "graphnav.anchor_priors",
         "graphnav.preintegration",
     },
-    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement", "graphnav.range_agreement"},
+    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement", "graphnav.agreement"},
     {
         "graphnav.smooth",
         "graphnav.outcome",
