@@ -17,7 +17,9 @@ import numpy as np
 from factors.mounted_motion import MotionFamily
 from factors.ranging import RangeFamily
 from factors.robust import Loss
-from graphnav.config import RelativePoseConfig, UwbConfig
+from factors.stereo_tracks import TrackFamily
+from graphnav.camera import Camera
+from graphnav.config import Config, RelativePoseConfig, StereoConfig, UwbConfig
 from graphnav.graph import SmoothingGraph
 from graphnav.leg_means import npt_bool
 from graphnav.solvers import batch
@@ -44,27 +46,38 @@ def agreeing_ranges(graph: SmoothingGraph, config: UwbConfig, values: gtsam.Valu
     assert family is not None
     return _agreeing(
         graph, family, lambda loss, scale: replace(graph, ranges=replace(family, loss=loss, scale=scale)),
-        _Rule(config.loss, config.loss_sigmas, config.reject_sigmas), values,
+        _Rule.of(config), values,
     )  # fmt: skip
 
 
-def agreeing_motions(
-    graph: SmoothingGraph, config: RelativePoseConfig, values: gtsam.Values
-) -> tuple[gtsam.Values, npt_bool]:
-    """Values near the solution, and what the camera says (K,) that agrees with it.
+def agreeing_camera(
+    graph: SmoothingGraph, config: Config, camera: Camera, values: gtsam.Values
+) -> tuple[gtsam.Values, Camera, Camera]:
+    """Values near the solution, what of the camera agrees with it, and what does not.
 
     Parameters
     ----------
-    graph : the problem with all of it; values : to start from.
+    graph : the problem with all that the camera says; values : to start from.
     """
-    family = graph.camera
-    assert family is not None
-    # a length of six errors that is as rare as one error of so many sigmas
-    limits = (rare_length(sigmas, family.size) for sigmas in (config.loss_sigmas, config.reject_sigmas))
-    return _agreeing(
-        graph, family, lambda loss, scale: replace(graph, camera=replace(family, loss=loss, scale=scale)),
-        _Rule(config.loss, *limits), values,
-    )  # fmt: skip
+    motions, tracks = camera.motions, camera.tracks
+    left_out = Camera(None, None)
+    if motions is not None and config.relative_pose.loss != "none":
+        by_motions = motions.family
+        values, fit = _agreeing(
+            graph, by_motions, lambda loss, scale: replace(graph, motions=replace(by_motions, loss=loss, scale=scale)),
+            _Rule.of(config.relative_pose, by_motions.size), values,
+        )  # fmt: skip
+        left_out, motions = replace(left_out, motions=motions.only(~fit)), motions.only(fit)
+        graph = replace(graph, motions=motions.family)
+    if tracks is not None and config.stereo.loss != "none":
+        by_tracks = tracks.family
+        values, fit = _agreeing(
+            graph, by_tracks, lambda loss, scale: replace(graph, tracks=replace(by_tracks, loss=loss, scale=scale)),
+            _Rule.of(config.stereo, by_tracks.size), values,
+        )  # fmt: skip
+        left_out, tracks = replace(left_out, tracks=tracks.without(fit)), tracks.only(fit)
+        tracks.prune(values)
+    return values, Camera(motions, tracks), left_out
 
 
 def rare_length(sigmas: float, size: int) -> float:
@@ -82,10 +95,15 @@ class _Rule:
     loss_sigmas: float
     reject_sigmas: float
 
+    @classmethod
+    def of(cls, config: UwbConfig | RelativePoseConfig | StereoConfig, size: int = 1) -> _Rule:
+        """The configured one, for the length of `size` errors: as rare as one error of so many sigmas."""
+        return cls(config.loss, rare_length(config.loss_sigmas, size), rare_length(config.reject_sigmas, size))
+
 
 def _agreeing(
     graph: SmoothingGraph,
-    family: RangeFamily | MotionFamily,
+    family: RangeFamily | MotionFamily | TrackFamily,
     with_loss: Callable[[Loss, float], SmoothingGraph],
     rule: _Rule,
     values: gtsam.Values,

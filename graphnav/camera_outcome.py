@@ -5,20 +5,40 @@ from __future__ import annotations
 import numpy as np
 
 from factors.so3 import Array
-from graphnav.camera import CameraReadings
-from graphnav.problem import Problem
+from graphnav.camera import Camera
+from graphnav.motions import MotionReadings
+from graphnav.problem import Problem, X
+from graphnav.tracks import TrackReadings
 
-#: The longest time without a relative pose that is passed over, s.
-_GAP_S = 10.0
+#: The longest time without the camera that is passed over, s, and the share of readings of features left out that is.
+_GAP_S, _MANY = 10.0, 0.2
 
 
-def camera_warnings(problem: Problem, used: CameraReadings, left_out: CameraReadings | None) -> list[str]:
+def camera_warnings(problem: Problem, used: Camera, left_out: Camera) -> list[str]:
     """One line for each thing that the camera's part in the solution could not use.
 
     Parameters
     ----------
-    used, left_out : relative poses that agree with all else, and those that do not.
+    used, left_out : what agrees with all else, and what does not.
     """
+    lines = []
+    if used.motions is not None:
+        lines += _motion_warnings(problem, used.motions, left_out.motions)
+    if used.tracks is not None:
+        lines += _track_warnings(problem, used.tracks, left_out.tracks)
+    start_s, end_s = longest_gap(problem, *_covered(problem, used))
+    if end_s - start_s > _GAP_S:
+        lines.append(f"the camera says nothing from {start_s:.0f} to {end_s:.0f} s: the IMU alone bridges it")
+    return lines
+
+
+def left_out_counts(left_out: Camera) -> dict[str, int]:
+    """How many rows of each table were left out."""
+    counts = {"relative_pose": left_out.motions, "stereo_tracks": left_out.tracks}
+    return {table: len(part.row) for table, part in counts.items() if part is not None and len(part.row)}
+
+
+def _motion_warnings(problem: Problem, used: MotionReadings, left_out: MotionReadings | None) -> list[str]:
     poses, lines = problem.log.relative_pose, []
     assert poses is not None
     wrong = 0 if left_out is None else len(left_out.row)
@@ -31,10 +51,35 @@ def camera_warnings(problem: Problem, used: CameraReadings, left_out: CameraRead
         )
     if outside:
         lines.append(f"{outside} of {len(poses)} relative poses are outside the IMU record, or shorter than a keyframe")
-    start_s, end_s = longest_gap(problem, poses.t_from_s[used.row], poses.t_to_s[used.row])
-    if end_s - start_s > _GAP_S:
-        lines.append(f"no relative pose from {start_s:.0f} to {end_s:.0f} s: the IMU alone bridges it")
     return lines
+
+
+def _track_warnings(problem: Problem, used: TrackReadings, left_out: TrackReadings | None) -> list[str]:
+    wrong = 0 if left_out is None else len(left_out.row)
+    if wrong <= _MANY * (wrong + len(used.row)):
+        return []
+    share = 100 * wrong / (wrong + len(used.row))
+    return [
+        f"{share:.0f} % of the readings of tracked features disagree with the rest and were left out:"
+        " the camera is moving among things that move, or [stereo] is not its calibration"
+    ]
+
+
+def _covered(problem: Problem, used: Camera) -> tuple[Array, Array]:
+    """Starts and ends of the times between keyframes that the camera ties."""
+    starts, ends = [], []
+    if used.motions is not None and problem.log.relative_pose is not None:
+        poses = problem.log.relative_pose
+        starts.append(poses.t_from_s[used.motions.row])
+        ends.append(poses.t_to_s[used.motions.row])
+    if used.tracks is not None:
+        keys = used.tracks.family.point_key
+        order = np.lexsort((used.tracks.family.pose_key, keys))
+        at = problem.keyframe_s[used.tracks.family.pose_key[order] - X(0)]
+        same = np.diff(keys[order]) == 0
+        starts.append(at[:-1][same])
+        ends.append(at[1:][same])
+    return np.concatenate(starts), np.concatenate(ends)
 
 
 def longest_gap(problem: Problem, from_s: Array, to_s: Array) -> tuple[float, float]:

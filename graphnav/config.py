@@ -140,6 +140,21 @@ class RelativePoseConfig(_Section):
     reject_sigmas: float = Field(4.0, gt=0, description="motions that are off by more are left out in the end")
 
 
+class StereoConfig(_Section):
+    """Features that a stereo camera tracks."""
+
+    form: Literal["tight", "loose", "off"] = Field(
+        "tight", description="every feature a point of the graph, or relative poses from them; off: neither"
+    )
+    moved_px: float = Field(8.0, gt=0, description="a keyframe where features have moved this far since the last one")
+    shared: float = Field(0.6, gt=0, lt=1, description="or fewer than this share of them are still seen")
+    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
+        "geman-mcclure", description="how readings that disagree are found; none: all count in full"
+    )
+    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
+    reject_sigmas: float = Field(4.0, gt=0, description="readings that are off by more are left out in the end")
+
+
 class FilterConfig(_Section):
     """The error-state Kalman filter of the methods ekf, rts and rts-online."""
 
@@ -205,6 +220,7 @@ class Config(_Section):
     lidar: LidarConfig = LidarConfig()
     uwb: UwbConfig = UwbConfig()
     relative_pose: RelativePoseConfig = RelativePoseConfig()
+    stereo: StereoConfig = StereoConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()

@@ -14,10 +14,12 @@ from factors.mounted_motion import MotionFamily
 from factors.noise import diagonal
 from factors.ranging import RangeFamily
 from factors.so3 import from_quaternion
-from graphnav.camera import CameraReadings
+from factors.stereo_tracks import TrackFamily
+from graphnav.camera import Camera
 from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings
 from graphnav.log import InitialState, Lidar
+from graphnav.motions import MotionReadings
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
 from graphnav.ranges import RangeReadings, RangeStates
@@ -49,7 +51,17 @@ class SmoothingGraph:
     advances: AdvanceFamily | None = None
     chain: list[int] | None = None
     ranges: RangeFamily | None = None
-    camera: MotionFamily | None = None
+    motions: MotionFamily | None = None
+    tracks: TrackFamily | None = None
+
+    def seen_by(self, camera: Camera) -> SmoothingGraph:
+        """With what a camera says, or with only some of it."""
+        motions, tracks = camera.motions, camera.tracks
+        return replace(
+            self,
+            motions=None if motions is None else motions.family,
+            tracks=None if tracks is None else tracks.family,
+        )
 
     def only_legs(self, readings: LegReadings, lidar: Lidar) -> SmoothingGraph:
         """With only some of its readings; legs left without keep their variables."""
@@ -66,8 +78,10 @@ class SmoothingGraph:
             self.advances.linearize_into(linear, values)
         if self.ranges is not None:
             self.ranges.linearize_into(linear, values)
-        if self.camera is not None:
-            self.camera.linearize_into(linear, values)
+        if self.motions is not None:
+            self.motions.linearize_into(linear, values)
+        if self.tracks is not None:
+            self.tracks.linearize_into(linear, values)
         return linear
 
 
@@ -77,7 +91,7 @@ def build_graph(
     legs: LegReadings | None = None,
     advances: AdvanceFamily | None = None,
     ranges: RangeReadings | None = None,
-    camera: CameraReadings | None = None,
+    camera: Camera | None = None,
 ) -> SmoothingGraph:
     """The problem for a batch solver."""
     import gtsam
@@ -102,14 +116,14 @@ def build_graph(
             native.add(prior)
         tied.update(family.pose_key.tolist())
         chain = [key for i in range(len(problem.keyframe_s)) if X(i) not in tied for key in (V(i), X(i))]
-    return SmoothingGraph(
-        native, displacement_family(problem, data), family, advances, chain,
-        None if ranges is None else ranges.family, None if camera is None else camera.family,
-    )  # fmt: skip
+    graph = SmoothingGraph(
+        native, displacement_family(problem, data), family, advances, chain, None if ranges is None else ranges.family
+    )
+    return graph if camera is None else graph.seen_by(camera)
 
 
 def build_factors(
-    problem: Problem, data: Preintegrated, ranges: RangeReadings | None = None, camera: CameraReadings | None = None
+    problem: Problem, data: Preintegrated, ranges: RangeReadings | None = None, motions: MotionReadings | None = None
 ) -> list[FactorAt]:
     """All factors one by one, in order of the last keyframe they need, for an incremental solver."""
     found = _common_factors(problem, data)
@@ -119,8 +133,9 @@ def build_factors(
         found += [FactorAt(j, family.factor(k)) for k, j in enumerate(last)]
     if ranges is not None:
         found += [FactorAt(*each) for each in ranges.factors(problem)]
-    if camera is not None:
-        found += [FactorAt(*each) for each in camera.factors(problem)]
+    if motions is not None:
+        found += [FactorAt(*each) for each in motions.factors(problem)]
+        found += [FactorAt(0, each) for each in Camera(motions, None).beside(problem)]
     return sorted(found, key=lambda f: f.keyframe)
 
 

@@ -14,10 +14,10 @@ from factors.inertial import Motion, predict
 from factors.odometry import Travel
 from factors.so3 import Array
 from graphnav.baselines.dead_reckoning import turned, walked
-from graphnav.camera import Steps, camera_steps, stepped
 from graphnav.frontends.alignment import aligned
 from graphnav.frontends.range_epochs import fixes_by_ranges, is_unknown, start_position
 from graphnav.log import SensorLog
+from graphnav.motions import Steps, camera_steps, stepped
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
 

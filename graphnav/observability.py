@@ -14,7 +14,7 @@ from factors.so3 import Array, from_quaternion
 from graphnav._directions import FACE_STATES, LIDAR_STATES, STATES, Direction, State
 from graphnav._observability import Observability, analyse
 from graphnav.baselines.states import unpacked
-from graphnav.camera import CameraReadings
+from graphnav.camera import Camera
 from graphnav.leg_priors import lidar_free, lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.preintegration import Preintegrated
@@ -50,7 +50,7 @@ def of_graph(
     legs: LegReadings | None = None,
     advances: AdvanceFamily | None = None,
     ranges: RangeReadings | None = None,
-    camera: CameraReadings | None = None,
+    camera: Camera | None = None,
     causal: bool = False,
     count: int | None = None,
     progress: Progress | None = None,

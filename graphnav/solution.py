@@ -15,14 +15,15 @@ from factors.position import position_factor
 from factors.so3 import Array
 from graphnav._memory import release
 from graphnav._stages import Stages
-from graphnav.agreement import agreeing_motions, agreeing_ranges
-from graphnav.camera import CameraReadings, motion_readings
+from graphnav.agreement import agreeing_camera, agreeing_ranges
+from graphnav.camera import Camera, camera_readings
 from graphnav.frontends.range_epochs import is_unknown, start_position
 from graphnav.graph import FactorAt, SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
+from graphnav.motions import motion_readings
 from graphnav.outcome import estimated_biases
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, X
@@ -62,8 +63,8 @@ class Solved:
     legs_left_out: LegReadings | None = None
     ranges: RangeReadings | None = None
     ranges_left_out: RangeReadings | None = None
-    camera: CameraReadings | None = None
-    camera_left_out: CameraReadings | None = None
+    camera: Camera | None = None
+    camera_left_out: Camera | None = None
     advances: AdvanceFamily | None = None
     causal: States | None = None
 
@@ -159,10 +160,9 @@ def _solve_rounds(
                 values, fit = agreeing_ranges(graph, problem.config.uwb, values)
                 ranges_left_out, ranges = ranges.only(~fit), ranges.only(fit)
                 graph = replace(graph, ranges=ranges.family)
-            if camera is not None and problem.config.relative_pose.loss != "none":
-                values, fit = agreeing_motions(graph, problem.config.relative_pose, values)
-                camera_left_out, camera = camera.only(~fit), camera.only(fit)
-                graph = replace(graph, camera=camera.family)
+            if camera is not None:
+                values, camera, camera_left_out = agreeing_camera(graph, problem.config, camera, values)
+                graph = graph.seen_by(camera)
             result = _solved(problem, graph, values, tick, _COMPROMISE if readings is not None else None)
             if problem.config.closed_path.form == "absolute" and not predicted:
                 result = absolute.solve_cycle_by_cycle(problem, graph, result)
@@ -229,12 +229,12 @@ def _range_readings(problem: Problem, data: Preintegrated, values: gtsam.Values)
     return readings
 
 
-def _camera_readings(problem: Problem, values: gtsam.Values) -> CameraReadings | None:
+def _camera_readings(problem: Problem, values: gtsam.Values) -> Camera | None:
     """What the camera says, whose variables are added to the values."""
-    readings = motion_readings(problem)
-    if readings is not None:
-        readings.insert(values)
-    return readings
+    camera = camera_readings(problem)
+    if camera is not None:
+        camera.insert(problem, values)
+    return camera
 
 
 def _preintegrate(

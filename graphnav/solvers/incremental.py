@@ -15,12 +15,12 @@ import numpy as np
 from factors.increments import npt_int
 from factors.inertial import predict
 from factors.so3 import Array
-from graphnav.camera import uses_motions
 from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
 from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
 from graphnav.legs import uses_legs
+from graphnav.motions import uses_motions
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.ranges import slots

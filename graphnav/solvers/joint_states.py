@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array
-from graphnav.camera import CameraReadings
+from graphnav.camera import Camera
 from graphnav.graph import build_graph
 from graphnav.legs import LegReadings
 from graphnav.preintegration import Preintegrated
@@ -40,7 +40,7 @@ def graph_covariances(
     legs: LegReadings | None = None,
     advances: AdvanceFamily | None = None,
     ranges: RangeReadings | None = None,
-    camera: CameraReadings | None = None,
+    camera: Camera | None = None,
     causal: bool = False,
     progress: Progress | None = None,
 ) -> Array:
