@@ -18,6 +18,8 @@ from graphnav.tracks import TrackReadings, track_readings, uses_tracks
 if TYPE_CHECKING:
     import gtsam
 
+    from graphnav.chain_problem import ChainProblem
+
 
 @dataclass(frozen=True)
 class Camera:
@@ -26,14 +28,14 @@ class Camera:
     motions: MotionReadings | None
     tracks: TrackReadings | None
 
-    def insert(self, problem: Problem, values: gtsam.Values) -> None:
+    def insert(self, problem: Problem | ChainProblem, values: gtsam.Values) -> None:
         """Variables that only the camera has, where they are not there yet."""
         if mounting_unknown(problem.log.stereo) and not values.exists(E(0)):
             values.insert(E(0), np.zeros(6))
         if self.tracks is not None:
             self.tracks.insert(values)
 
-    def beside(self, problem: Problem) -> list[gtsam.NonlinearFactor]:
+    def beside(self, problem: Problem | ChainProblem) -> list[gtsam.NonlinearFactor]:
         """Factors of these variables."""
         stereo = problem.log.stereo
         return [mounting_prior(stereo)] if stereo is not None and mounting_unknown(stereo) else []
