@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from factors import so3
+from factors import mounted_motion, so3
+from factors.relative_pose import Motions
 from factors.so3 import Array
 from graphnav.baselines.measurements import Rows
 from graphnav.baselines.states import PHI, POS
@@ -26,6 +27,13 @@ class Place:
 
     rotation_nb: Array
     pos_n: Array
+
+    @property
+    def matrix(self) -> Array:
+        """(1, 4, 4), as the residuals of `factors` take a pose."""
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = self.rotation_nb, self.pos_n
+        return out[None]
 
     def corrected(self, phi: Array, dp: Array) -> Place:
         """With its errors (3,), (3,) taken out."""
@@ -44,28 +52,21 @@ def chained_rows(chained: Place, here: Place, attitude_sigma_rad: float, positio
     return _rows(h, np.concatenate([turn / attitude_sigma_rad, (chained.pos_n - here.pos_n) / position_sigma_m]))
 
 
-def motion_residual(start: Place, here: Place, rotation: Array, pos: Array) -> tuple[Array, Array]:
-    """Predicted less measured motion, as the measured one's right perturbation, and its derivatives (6, 21).
-
-    ``e = [Log(Rm' R), Rm' (t - tm)]`` with ``R = Rs' Rh``, ``t = Rs' (ph - ps)``.
-    """
-    back = start.rotation_nb.T
-    turn = so3.log(rotation.T @ back @ here.rotation_nb)
-    way = here.pos_n - start.pos_n
-    h = np.zeros((6, WITH_CLONE))
-    # Log(Exp(turn) Exp(d)) = turn + Jr^-1 d, Jr(turn) = Jl(-turn)
-    h[:3, PHI] = np.linalg.solve(so3.left_jacobian(-turn), here.rotation_nb.T)
-    h[:3, CLONE_PHI] = -h[:3, PHI]
-    to_end = rotation.T @ back
-    h[3:, POS], h[3:, CLONE_POS], h[3:, CLONE_PHI] = to_end, -to_end, to_end @ so3.skew(way)
-    return np.concatenate([turn, rotation.T @ (back @ way - pos)]), h
-
-
 def motion_rows(start: Place, here: Place, rotation: Array, pos: Array, cov: Array) -> Rows:
-    """A motion (3, 3), (3,) with its covariance (6, 6) between the copied pose and this one."""
-    error, h = motion_residual(start, here, rotation, pos)
+    """A motion (3, 3), (3,) of the body with its covariance (6, 6), between the copied pose and this one.
+
+    The graph's own `mounted_motion.residual`; its derivatives are by right perturbations.
+    """
+    measured = Motions(rotation[None], pos[None], cov[None])
+    error, by_start, by_here, _ = mounted_motion.residual(
+        start.matrix, here.matrix, np.zeros((1, 6)), np.eye(3), np.zeros(3), measured
+    )
+    h = np.zeros((6, WITH_CLONE))
+    to_start, to_here = start.rotation_nb.T, here.rotation_nb.T
+    h[:, CLONE_PHI], h[:, CLONE_POS] = by_start[0, :, :3] @ to_start, by_start[0, :, 3:] @ to_start
+    h[:, PHI], h[:, POS] = by_here[0, :, :3] @ to_here, by_here[0, :, 3:] @ to_here
     root = np.linalg.cholesky(cov)
-    return _rows(np.linalg.solve(root, h), np.linalg.solve(root, -error))
+    return _rows(np.linalg.solve(root, h), np.linalg.solve(root, -error[0]))
 
 
 def _rows(h: Array, z: Array) -> Rows:
