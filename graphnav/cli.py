@@ -120,12 +120,14 @@ def _add_import(group: Any) -> None:
     _add_log_output(parser)
     parser.add_argument("--wheel-scale", type=float, help="comma2k19: known scale-factor error of the wheels")
     parser.add_argument("--position-rate-hz", type=float, help="euroc: rate of the positions given")
-    parser.add_argument("--dataset", type=int, choices=(1, 2), help="aer1513: on a line or on a floor (default 2)")
+    parser.add_argument("--dataset", type=int, choices=(1, 2, 3), help="aer1513: line, floor (default), stereo")
     places = "aer1513: whether the tubes are surveyed (default known)"
     parser.add_argument("--landmarks", choices=("known", "unknown"), help=places)
     parser.add_argument("--interval-s", type=float, help="aer1513: least time between laser scans (default 1)")
     heading = "starloc: take the heading at the start from the reference, to this sigma"
     parser.add_argument("--heading-sigma-deg", type=float, help=heading)
+    tags = "starloc: with the stereo camera, and what it sees of AprilTags"
+    parser.add_argument("--stereo", action="store_const", const=True, help=tags)
 
 
 def _add_simulate(group: Any) -> None:

@@ -27,7 +27,7 @@ IMPORTERS = {
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
     "lego": ("graphnav.readers.lego", ()),
     "plaza": ("graphnav.readers.plaza", ()),
-    "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg",)),
+    "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg", "stereo")),
 }
 #: Formats whose data come with the gtsam package.
 _WITH_GTSAM = ("kitti-gtsam", "plaza")

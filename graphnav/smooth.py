@@ -22,7 +22,7 @@ from graphnav.frontends.rest import rest_spans
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
-from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, UWB_METHODS
+from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.range_outcome import anchor_counts, range_residuals, range_warnings, rejected
@@ -64,6 +64,10 @@ def smooth(
         from graphnav.ranged import run_ranges
 
         return run_ranges(log, config or Config(), method, stages)
+    if method == "stereo":
+        from graphnav.stereo_filtered import run_stereo
+
+        return run_stereo(log, config or Config(), stages)
     if log.imu is None and log.relative_pose is not None:
         from graphnav.chained import run_chain
 
@@ -79,6 +83,10 @@ def smooth(
         from graphnav.ranged import run_range_filter
 
         return run_range_filter(problem, method, stages)
+    if method in STEREO_METHODS:
+        from graphnav.stereo_filtered import run_vio
+
+        return run_vio(problem, method, stages)
     from graphnav.filtered import run_baseline
 
     return run_baseline(problem, method, stages)

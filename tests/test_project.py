@@ -79,6 +79,7 @@ FLOORS = (
         "graphnav.filtered",
         "graphnav.leg_filtered",
         "graphnav.ranged",
+        "graphnav.stereo_filtered",
         "graphnav.chained",
         "graphnav.analysis",
         "graphnav.compare",
