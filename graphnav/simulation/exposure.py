@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from graphnav.baselines._compiled import compiled
-from graphnav.simulation.lamps import AIR_HALF_M, AIR_KNOTS
 from graphnav.simulation.roadheader_figures import CameraSpec, LightSpec
 
 Array = npt.NDArray[np.float64]
@@ -44,7 +43,7 @@ class Drift:
 
 
 @compiled
-def develop(grey: Any, light: Any, depth: Any, air: Any, dust: Any, normal: Any, figures: Any) -> None:
+def develop(grey: Any, light: Any, air: Any, dust: Any, normal: Any, figures: Any) -> None:
     """Fill the 8-bit image `grey`; `normal`: one unit normal draw a pixel.
 
     Electrons are normal about their mean with its variance (shot noise) and the read noise's; the grey level is the
@@ -62,10 +61,6 @@ def develop(grey: Any, light: Any, depth: Any, air: Any, dust: Any, normal: Any,
             a -= j
             density = (1 - b) * ((1 - a) * dust[i, j] + a * dust[i, j + 1])
             density += b * ((1 - a) * dust[i + 1, j] + a * dust[i + 1, j + 1])
-            q = depth[v, u] / (depth[v, u] + AIR_HALF_M) * (AIR_KNOTS - 1)
-            k = int(q)
-            q -= k
-            scattered = (1 - q) * air[k, v, u] + q * air[k + 1, v, u]
-            mean = full * exposure * (light[v, u] + density * scattered)
+            mean = full * exposure * (light[v, u] + density * air[v, u])
             electrons = mean + math.sqrt(mean + read * read) * normal[v, u]
             grey[v, u] = min(255, int(255 * math.sqrt(max(electrons, 0.0) / full) + 0.5))

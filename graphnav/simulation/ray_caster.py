@@ -12,8 +12,16 @@ from typing import Any
 import numpy as np
 
 from graphnav.baselines._compiled import compiled
+from graphnav.simulation.lamps import AIR_HALF_M, AIR_KNOTS
 from graphnav.simulation.ripmap import ACROSS_LEVELS, ALONG_LEVELS
 from graphnav.simulation.roadway_surfaces import ARCH_LEFT, FACE, FLOOR, ROOF, SIDE_LEFT
+from graphnav.simulation.textures import TEXEL_M
+
+_SIGHT_M = (
+    12.0  # at 15 m visibility a wall farther away gives less than half an electron: no need to look at it closely
+)
+_DIM = 0.25
+_RIM_M = 8.0  # and 5 electrons, where the dust in front of it gives 60: its rims are lost in noise of 9
 
 # Inside compiled code the surfaces of one kind are counted from the one on the left: left, right, roof.
 
@@ -54,115 +62,137 @@ def trace(box: Any, p: Any, dx: float, dy: float, dz: float) -> tuple[int, int, 
 
 
 @compiled
-def _lookup(maps: Any, surface: int, along: float, across: float, wide: float, high: float) -> float:
+def _level(texels: float, levels: int) -> tuple[int, float]:
+    """The reduction for a footprint, and the share of the next one: about its logarithm to two, exact at whole powers."""
+    level = 0
+    while texels > 2 and level < levels - 2:
+        texels *= 0.5
+        level += 1
+    return level, (0.0 if texels < 1 else (1.0 if texels > 2 else texels - 1))
+
+
+@compiled
+def _bilinear(texels: Any, start: int, rows: int, columns: int, x: float, y: float) -> float:
+    x = 0.0 if x < 0 else (columns - 1.001 if x > columns - 1.001 else x)
+    y = 0.0 if y < 0 else (rows - 1.001 if y > rows - 1.001 else y)
+    c, r = int(x), int(y)
+    a, b = x - c, y - r
+    k = start + r * columns + c
+    top = texels[k] + a * (float(texels[k + 1]) - texels[k])
+    k += columns
+    low = texels[k] + a * (float(texels[k + 1]) - texels[k])
+    return top + b * (low - top)
+
+
+@compiled
+def _lookup(texels: Any, place: Any, surface: int, along: float, across: float, wide: float, high: float) -> float:
     """Texture at a point (texels) over a footprint (texels): linear between texels and between reductions."""
-    level = min(max(math.log2(wide), 0.0), ALONG_LEVELS - 1.001) if wide > 1 else 0.0
-    up = min(max(math.log2(high), 0.0), ACROSS_LEVELS - 1.001) if high > 1 else 0.0
-    i0, j0 = int(level), int(up)
-    total = 0.0
-    for i in range(2):
-        share_i = level - i0 if i else 1 - (level - i0)
-        x = along / (1 << (i0 + i)) - 0.5
-        for j in range(2):
-            share = share_i * (up - j0 if j else 1 - (up - j0))
-            if share < 1e-3:
-                continue
-            y = across / (1 << (j0 + j)) - 0.5
-            start = maps.start[surface, i0 + i, j0 + j]
-            rows, columns = maps.rows[surface, i0 + i, j0 + j], maps.columns[surface, i0 + i, j0 + j]
-            xc, yc = min(max(x, 0.0), columns - 1.001), min(max(y, 0.0), rows - 1.001)
-            c, r = int(xc), int(yc)
-            a, b = xc - c, yc - r
-            k = start + r * columns + c
-            top = (1 - a) * maps.texels[k] + a * maps.texels[k + 1]
-            k += columns
-            low = (1 - a) * maps.texels[k] + a * maps.texels[k + 1]
-            total += share * ((1 - b) * top + b * low)
+    i, a = _level(wide, ALONG_LEVELS)
+    j, b = _level(high, ACROSS_LEVELS)
+    x0, y0 = along / (1 << i), across / (1 << j)
+    x1, y1 = 0.5 * x0 - 0.5, 0.5 * y0 - 0.5
+    x0, y0 = x0 - 0.5, y0 - 0.5
+    s, r, c = place[surface, i, j, 0], place[surface, i, j, 1], place[surface, i, j, 2]
+    total = (1 - a) * (1 - b) * _bilinear(texels, s, r, c, x0, y0)
+    if a > 0:
+        s, r, c = place[surface, i + 1, j, 0], place[surface, i + 1, j, 1], place[surface, i + 1, j, 2]
+        total += a * (1 - b) * _bilinear(texels, s, r, c, x1, y0)
+    if b > 0:
+        s, r, c = place[surface, i, j + 1, 0], place[surface, i, j + 1, 1], place[surface, i, j + 1, 2]
+        total += (1 - a) * b * _bilinear(texels, s, r, c, x0, y1)
+        if a > 0:
+            s, r, c = place[surface, i + 1, j + 1, 0], place[surface, i + 1, j + 1, 1], place[surface, i + 1, j + 1, 2]
+            total += a * b * _bilinear(texels, s, r, c, x1, y1)
     return total / 255
 
 
 @compiled
-def _axes(surface: int) -> tuple[int, int, int]:
-    """Axis of n along a surface's normal, along its first and along its second texture coordinate."""
-    if surface == FACE:
-        return 1, 0, 2
-    if surface in (FLOOR, ROOF):
-        return 2, 1, 0
-    if surface < FACE:
-        return 0, 1, 2
-    side = (surface - ARCH_LEFT) % 3
-    if surface < SIDE_LEFT:
-        return (2, 1, 0) if side == 2 else (0, 1, 2)
-    return (1, 2, 0) if side == 2 else (1, 0, 2)
+def _seen(
+    box: Any, texels: Any, place: Any, p: Any, rot: Any, pixel: float, x: float, y: float, glow: Any, v: int, u: int
+) -> tuple[int, float, float, float]:
+    """What a ray of the camera meets: key of surface and arch, depth (m), light from there, airlight.
 
-
-@compiled
-def _radiance(scene: Any, p: Any, rot: Any, focal: float, x: float, y: float, shift: float) -> tuple[int, float, float]:
-    """What a ray of the camera sees: key of surface and arch, depth (m), light.
-
-    `x`, `y` : the ray's direction ``(x, y, 1)`` in the camera; `shift` : of the camera from the left one, to the right.
+    `x`, `y` : the ray's direction ``(x, y, 1)`` in the camera; `glow` : the pixel's row of `lamps.glow`.
     """
-    box, maps = scene.box, scene.maps
-    dx = rot[0, 0] * x + rot[0, 1] * y + rot[0, 2]
-    dy = rot[1, 0] * x + rot[1, 1] * y + rot[1, 2]
-    dz = rot[2, 0] * x + rot[2, 1] * y + rot[2, 2]
+    dx = rot[0][0] * x + rot[0][1] * y + rot[0][2]
+    dy = rot[1][0] * x + rot[1][1] * y + rot[1][2]
+    dz = rot[2][0] * x + rot[2][1] * y + rot[2][2]
     surface, arch, t = trace(box, p, dx, dy, dz)
-    n, i, j = _axes(surface)
-    d = (dx, dy, dz)
-    low = (box.left, box.back, box.floor)
-    along, across = p[i] + t * d[i] - low[i], p[j] + t * d[j] - low[j]
+    x_axis, y_axis, z_axis = rot
+    # The axis of n along the surface's normal, and those along its texture: a row of `rot`, and place and ray along it.
+    along, across = p[1] + t * dy - box.back, p[2] + t * dz - box.floor
+    normal, first, second = x_axis, y_axis, z_axis
+    dn, di, dj = dx, dy, dz
+    if surface == FLOOR or surface == ROOF or surface == ARCH_LEFT + 2:
+        normal, second = z_axis, x_axis
+        across, dn, dj = p[0] + t * dx - box.left, dz, dx
+    elif surface == SIDE_LEFT + 2:
+        normal, first, second = y_axis, z_axis, x_axis
+        along, across = box.roof - p[2] - t * dz, p[0] + t * dx - box.left
+        dn, di, dj = dy, dz, dx
+    elif surface == FACE or surface >= SIDE_LEFT:
+        normal, first = y_axis, x_axis
+        along, dn, di = p[0] + t * dx - box.left, dy, dx
     # the texture's shift by a pixel to the right and by a pixel down
-    s = t / focal
-    ur, ud = s * (rot[i, 0] - d[i] * rot[n, 0] / d[n]), s * (rot[i, 1] - d[i] * rot[n, 1] / d[n])
-    vr, vd = s * (rot[j, 0] - d[j] * rot[n, 0] / d[n]), s * (rot[j, 1] - d[j] * rot[n, 1] / d[n])
+    s, q = t * pixel, 1 / dn
+    nr, nd = normal[0] * q, normal[1] * q
+    wide = s * (abs(first[0] - di * nr) + abs(first[1] - di * nd))
+    high = s * (abs(second[0] - dj * nr) + abs(second[1] - dj * nd))
     if surface >= SIDE_LEFT:
-        right, top = surface == SIDE_LEFT + 1, surface == SIDE_LEFT + 2
-        if right:
-            along = box.right - p[i] - t * d[i]
-        if top:
-            along = box.roof - p[i] - t * d[i]
+        if surface == SIDE_LEFT + 1:
+            along = box.right - box.left - along
         along += arch * box.depth
     elif surface >= ARCH_LEFT:
         along += arch * (box.width - box.spacing)
-    texel = scene.texel
-    wide, high = math.sqrt(ur * ur + ud * ud) / texel, math.sqrt(vr * vr + vd * vd) / texel
-    albedo = _lookup(maps, surface, along / texel, across / texel, wide, high)
-    lit = scene.ambient
-    xc, yc = t * x + shift, t * y
-    for k in range(len(scene.lamps)):
-        lamp = scene.lamps[k]
-        lx, ly, lz = xc - lamp[0], yc - lamp[1], t - lamp[2]
-        r2 = lx * lx + ly * ly + lz * lz
-        r = math.sqrt(r2)
-        cosine = (lamp[3] * lx + lamp[4] * ly + lamp[5] * lz) / r
-        facing = abs(rot[n, 0] * lx + rot[n, 1] * ly + rot[n, 2] * lz) / r
-        lit += lamp[6] * facing / r2 * math.exp((cosine - 1) * lamp[7] - scene.lamp_loss * r)
-    away = t * math.sqrt(x * x + y * y + 1)
-    return surface + 16 * arch, t, albedo * lit * math.exp(-scene.loss * away)
+    albedo = _DIM
+    if t < _SIGHT_M:
+        albedo = _lookup(texels, place, surface, along / TEXEL_M, across / TEXEL_M, wide / TEXEL_M, high / TEXEL_M)
+    far = 1 / (t + AIR_HALF_M)
+    b = t * far * (AIR_KNOTS - 1)
+    k = int(b)
+    b -= k
+    a = 1 - b
+    lit = normal[0] * (a * glow[v, u, k, 0] + b * glow[v, u, k + 1, 0])
+    lit += normal[1] * (a * glow[v, u, k, 1] + b * glow[v, u, k + 1, 1])
+    lit += normal[2] * (a * glow[v, u, k, 2] + b * glow[v, u, k + 1, 2])
+    air = a * glow[v, u, k, 3] + b * glow[v, u, k + 1, 3]
+    return surface + 16 * arch, t, albedo * abs(lit) * far * far, air
 
 
 @compiled
-def cast(scene: Any, p: Any, rot: Any, camera: Any, light: Any, depth: Any) -> None:
-    """Fill the images `light` and `depth` (m) as seen from `p` with attitude `rot` (n from c).
+def cast(
+    box: Any, texels: Any, place: Any, p: Any, rot: Any, camera: Any, glow: Any, light: Any, air: Any, depth: Any
+) -> None:
+    """Fill the images `light` (from surfaces), `air` (from dust) and `depth` (m).
 
-    `camera` : focal length, centre x, centre y (px), shift from the left camera (m).
+    They are those of a camera at `p` with attitude `rot` (n from c); `camera` : focal length and centre (px).
     """
-    focal, cx, cy, shift = camera
+    focal, cx, cy = camera
+    pixel = 1 / focal
     rows, columns = light.shape
     key = np.empty((rows, columns), np.int16)
     for v in range(rows):
+        y = (v - cy) * pixel
         for u in range(columns):
-            found = _radiance(scene, p, rot, focal, (u - cx) / focal, (v - cy) / focal, shift)
-            key[v, u], depth[v, u], light[v, u] = found[0], found[1], found[2]
+            found = _seen(box, texels, place, p, rot, pixel, (u - cx) * pixel, y, glow, v, u)
+            key[v, u], depth[v, u], light[v, u], air[v, u] = found
     for v in range(rows):
         for u in range(columns):
-            k = key[v, u]
-            same = k == key[max(v - 1, 0), u] and k == key[min(v + 1, rows - 1), u]
-            if same and k == key[v, max(u - 1, 0)] and k == key[v, min(u + 1, columns - 1)]:
+            rim, nearest = False, depth[v, u]
+            for q in range(4):
+                i = min(max(v + (q - 1) * (q % 2 == 0), 0), rows - 1)
+                j = min(max(u + (q - 2) * (q % 2 == 1), 0), columns - 1)
+                if key[i, j] != key[v, u]:
+                    rim, nearest = True, min(nearest, depth[i, j])
+            if not rim or nearest > _RIM_M:
                 continue
-            total = 0.0
+            total, scattered = 0.0, 0.0
             for q in range(4):
                 a, b = (q % 2) - 0.5, (q // 2) - 0.5
                 du, dv = 0.5 * a + 0.25 * b, 0.5 * b - 0.25 * a
-                total += _radiance(scene, p, rot, focal, (u + du - cx) / focal, (v + dv - cy) / focal, shift)[2]
-            light[v, u] = total / 4
+                found = _seen(
+                    box, texels, place, p, rot, pixel, (u + du - cx) * pixel, (v + dv - cy) * pixel, glow, v, u
+                )
+                total += found[2]
+                scattered += found[3]
+            light[v, u], air[v, u] = total / 4, scattered / 4

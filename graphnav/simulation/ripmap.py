@@ -17,33 +17,29 @@ class Ripmap(NamedTuple):
     Attributes
     ----------
     texels : 8-bit shares of light.
-    start, rows, columns : ``(surfaces, ALONG_LEVELS, ACROSS_LEVELS)`` place and size of the reduction by two to the
-        power of each level.
+    place : ``(surfaces, ALONG_LEVELS, ACROSS_LEVELS, 3)`` start, rows and columns of the reduction by two to the power
+        of each level.
     """
 
     texels: npt.NDArray[np.uint8]
-    start: npt.NDArray[np.int64]
-    rows: npt.NDArray[np.int64]
-    columns: npt.NDArray[np.int64]
+    place: npt.NDArray[np.int64]
 
 
 def ripmap(images: Sequence[npt.NDArray[np.float32]]) -> Ripmap:
     """Every reduction of `images`, whose values lie between 0 and 1."""
-    shape = (len(images), ALONG_LEVELS, ACROSS_LEVELS)
-    start, rows, columns = (np.zeros(shape, np.int64) for _ in range(3))
+    place = np.zeros((len(images), ALONG_LEVELS, ACROSS_LEVELS, 3), np.int64)
     parts: list[npt.NDArray[np.uint8]] = []
     total = 0
     for surface, image in enumerate(images):
         for along in range(ALONG_LEVELS):
             reduced = image
             for across in range(ACROSS_LEVELS):
-                place = (surface, along, across)
-                start[place], rows[place], columns[place] = total, *reduced.shape
+                place[surface, along, across] = total, *reduced.shape
                 parts.append(np.rint(255 * reduced).astype(np.uint8).ravel())
                 total += reduced.size
                 reduced = _halved(reduced)
             image = _halved(image.T).T
-    return Ripmap(np.concatenate(parts), start, rows, columns)
+    return Ripmap(np.concatenate(parts), place)
 
 
 def _halved(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

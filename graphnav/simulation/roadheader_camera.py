@@ -3,37 +3,24 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from graphnav.simulation.exposure import Drift, develop
-from graphnav.simulation.lamps import airlight, lamp_rows
+from graphnav.simulation.lamps import glow
 from graphnav.simulation.ray_caster import cast
-from graphnav.simulation.ripmap import Ripmap, ripmap
+from graphnav.simulation.ripmap import ripmap
 from graphnav.simulation.roadheader_figures import RoadheaderSpec
-from graphnav.simulation.roadway_surfaces import Box, box
-from graphnav.simulation.textures import TEXEL_M, textures
+from graphnav.simulation.roadway_surfaces import box
+from graphnav.simulation.textures import textures
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 
 #: Axes of the camera (right, down, ahead) in the body (right, forward, up).
 R_BC = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-
-
-class Scene(NamedTuple):
-    """What is to be seen, as plain numbers and arrays for compiled code."""
-
-    box: Box
-    maps: Ripmap
-    lamps: Array
-    texel: float
-    ambient: float
-    loss: float
-    lamp_loss: float
 
 
 class StereoCamera:
@@ -47,27 +34,25 @@ class StereoCamera:
 
     def __init__(self, spec: RoadheaderSpec, seed: np.random.SeedSequence) -> None:
         self.spec, light = spec, spec.light
-        walls, dust, self._frames = (np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(3))
-        maps = ripmap(textures(spec.roadway, np.random.default_rng(walls)))
-        loss = light.extinction_1_m
-        self.scene = Scene(
-            box(spec.roadway), maps, lamp_rows(light), TEXEL_M, light.ambient, loss, light.lamp_share * loss
+        walls, dust, self._frames = (
+            np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(3)
         )
+        self._maps = ripmap(textures(spec.roadway, np.random.default_rng(walls)))
         self._drift = Drift.drawn(light, spec.camera, np.random.default_rng(dust))
 
     @cached_property
-    def _air(self) -> tuple[npt.NDArray[np.float32], ...]:
-        return tuple(airlight(self.spec.light, self.spec.camera, shift) for shift in (0.0, self.spec.camera.baseline_m))
+    def _glow(self) -> tuple[npt.NDArray[np.float32], ...]:
+        return tuple(glow(self.spec.light, self.spec.camera, shift) for shift in (0.0, self.spec.camera.baseline_m))
 
-    def light(self, pos_n: Array, rot_nb: Rotation, right: bool = False) -> tuple[Array, Array]:
-        """Light from the walls and depth (m) ``(height, width)`` of one camera of the pair, without airlight."""
+    def light(self, pos_n: Array, rot_nb: Rotation, right: bool = False) -> Array:
+        """Light from the walls, airlight and depth (m) of one camera of the pair, ``(3, height, width)``."""
         camera, rot_nc = self.spec.camera, rot_nb.as_matrix() @ R_BC
-        shift = camera.baseline_m if right else 0.0
-        place_n = pos_n + rot_nb.apply(camera.lever_arm_b_m) + shift * rot_nc[:, 0]
-        light, depth = np.empty((2, camera.height_px, camera.width_px))
-        centre = ((camera.width_px - 1) / 2, (camera.height_px - 1) / 2)
-        cast(self.scene, place_n, rot_nc, (camera.focal_px, *centre, shift), light, depth)
-        return light, depth
+        place_n = pos_n + rot_nb.apply(camera.lever_arm_b_m) + right * camera.baseline_m * rot_nc[:, 0]
+        found = np.empty((3, camera.height_px, camera.width_px))
+        figures = (camera.focal_px, (camera.width_px - 1) / 2, (camera.height_px - 1) / 2)
+        axes = tuple(map(tuple, rot_nc.tolist()))
+        cast(box(self.spec.roadway), *self._maps, tuple(place_n.tolist()), axes, figures, self._glow[right], *found)
+        return found
 
     def pair(self, frame: int, t_s: float, pos_n: Array, rot_nb: Rotation) -> tuple[Grey, Grey]:
         """The two 8-bit images of a frame, the left one first."""
@@ -77,8 +62,8 @@ class StereoCamera:
         dust = self._drift.at(t_s, camera)
         grey = np.empty((2, camera.height_px, camera.width_px), np.uint8)
         for side in range(2):
-            light, depth = self.light(pos_n, rot_nb, right=bool(side))
+            light, air, _ = self.light(pos_n, rot_nb, right=bool(side))
             noise = rng.standard_normal(light.shape, dtype=np.float32)
             exposed = (figures.exposure, figures.full_electrons, figures.read_electrons)
-            develop(grey[side], light, depth, self._air[side], dust, noise, exposed)
+            develop(grey[side], light, air, dust, noise, exposed)
         return grey[0], grey[1]

@@ -73,11 +73,10 @@ class LightSpec:
     )
     visibility_m: float = 15.0
     lamp_share: float = 0.5
-    backscatter: float = 0.02
+    backscatter: float = 0.011
     drift: float = 0.25  # 1-sigma of the slow change of airlight from place to place, as a share
     drift_time_s: float = 4.0
-    ambient: float = 2e-4
-    exposure: float = 9.0  # electrons at full scale per unit of radiance, as a share of full scale
+    exposure: float = 13.0  # electrons at full scale per unit of radiance, as a share of full scale
     full_electrons: float = 3000.0
     read_electrons: float = 4.0
 

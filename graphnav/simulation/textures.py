@@ -30,6 +30,8 @@ def _texture(spec: RoadwaySpec, surface: int, rng: np.random.Generator) -> Image
         image = _rubble(shape, rng)
     else:
         image = _rock(shape, rng, strata=surface != on.ROOF)
+        if surface == on.FACE:
+            _grooves(image, rng)
         if surface != on.FACE:
             _mesh(image, rng)
             _plates(image, spec, rng)
@@ -59,10 +61,11 @@ def noise(
 
 def _rock(shape: tuple[int, int], rng: np.random.Generator, strata: bool) -> Image:
     """Blotches with sharp rims, fine grain, dark cracks, and layers of coal and stone where they are cut across."""
-    blotches = np.tanh(4 * noise(shape, rng, 2.2, 0.4, 1.6))
-    grain = noise(shape, rng, 1.1, 0.3)
-    cracks = np.exp(-((noise(shape, rng, 1.9, 0.8, 2.0) / 0.035) ** 2))
-    image = 0.24 * np.exp(0.35 * blotches + 0.4 * grain) * (1 - 0.75 * cracks)
+    blotches = np.tanh(6 * noise(shape, rng, 2.0, 0.35, 1.4))
+    chips = np.tanh(5 * noise(shape, rng, 1.6, 0.08))
+    grain = noise(shape, rng, 0.8, 0.2)
+    cracks = np.exp(-((noise(shape, rng, 1.9, 0.6, 2.0) / 0.03) ** 2))
+    image = 0.2 * np.exp(0.3 * blotches + 0.25 * chips + 0.4 * grain) * (1 - 0.8 * cracks)
     if strata:
         height = np.arange(shape[0]) * TEXEL_M
         layers = np.interp(height, np.linspace(0, height[-1], 14), rng.uniform(-1, 1, 14))
@@ -74,9 +77,9 @@ def _rock(shape: tuple[int, int], rng: np.random.Generator, strata: bool) -> Ima
 
 def _rubble(shape: tuple[int, int], rng: np.random.Generator) -> Image:
     """Dark mud with lighter stones."""
-    mud = 0.13 * np.exp(0.3 * noise(shape, rng, 1.6, 1.0))
+    mud = 0.17 * np.exp(0.35 * noise(shape, rng, 1.6, 1.0))
     stones = noise(shape, rng, 2.4, 0.09)
-    lit = 0.3 * np.exp(0.5 * noise(shape, rng, 2.0, 0.12))
+    lit = 0.42 * np.exp(0.5 * noise(shape, rng, 2.0, 0.12))
     share = np.clip((stones - 0.9) * 6, 0, 1)
     rim = np.exp(-(((stones - 0.9) / 0.12) ** 2))
     return (((1 - share) * mud + share * lit) * (1 - 0.6 * rim)).astype(np.float32)
@@ -86,6 +89,15 @@ def _steel(shape: tuple[int, int], rng: np.random.Generator) -> Image:
     """Grey with rust and dust."""
     rust = np.tanh(3 * noise(shape, rng, 1.8, 0.3))
     return (0.42 * np.exp(0.3 * rust + 0.25 * noise(shape, rng, 1.0, 0.2))).astype(np.float32)
+
+
+def _grooves(image: Image, rng: np.random.Generator) -> None:
+    """Arcs that the picks of the cutting head have left in the face."""
+    up, along = (np.arange(size, dtype=np.float32) * TEXEL_M for size in image.shape)
+    for _ in range(28):
+        centre, radius = rng.uniform([0, -1.5], [4, 5]), rng.uniform(0.5, 1.6)
+        away = np.hypot(along[None] - centre[0], up[:, None] - centre[1]) - radius
+        image *= 1 - 0.55 * np.exp(-((away / 0.015) ** 2)) + 0.3 * np.exp(-(((away - 0.03) / 0.015) ** 2))
 
 
 def _mesh(image: Image, rng: np.random.Generator) -> None:
