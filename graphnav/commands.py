@@ -83,8 +83,8 @@ def simulate(arguments: argparse.Namespace) -> None:
     from graphnav.simulation.stereo_images import render_into
 
     names = (
-        "interval_m", "par", "hours", "sensors", "cycles", "scans", "draw", "site", "nlos_share", "nlos_max_m", "rate_hz",
-        "images", "tracks", "outlier_share",
+        "interval_m", "par", "hours", "sensors", "cycles", "scans", "draw", "site", "nlos_share", "nlos_max_m",
+        "rate_hz", "images", "tracks", "outlier_share",
     )  # fmt: skip
     given = {name: getattr(arguments, name) for name in names}
     options = {name: value for name, value in given.items() if value is not None}

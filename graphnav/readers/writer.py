@@ -69,16 +69,19 @@ def _check_target(target: Path, overwrite: bool) -> None:
         raise LogError("a file, expected a folder to write the log to", where=str(target), fix="choose another path")
     if overwrite or not target.exists():
         return
-    others = sorted(p.name for p in target.iterdir() if not _is_log_file(p))
+    others = sorted(p.name for p in target.iterdir() if not (_is_log_file(p) or _is_of_images(p)))
     if others:
         problem = f"the folder holds {others[0]}, which is no part of a log"
         raise LogError(problem, where=str(target), fix="choose another folder, or overwrite it explicitly")
 
 
+def _is_of_images(path: Path) -> bool:
+    """Whether this is a folder of a log's images and nothing else."""
+    of_log = path.name in _IMAGE_FOLDERS and path.is_dir() and (path.parent / LOG_FILE).exists()
+    return of_log and all(image.suffix == ".png" for image in path.iterdir())
+
+
 def _is_log_file(path: Path) -> bool:
-    """Whether a log may have this: log.toml, a table, or a folder of images and nothing else."""
-    if path.name in _IMAGE_FOLDERS and path.is_dir():
-        return all(image.suffix == ".png" for image in path.iterdir())
     return path.is_file() and (path.name == LOG_FILE or (path.stem in TABLES and path.suffix in SUFFIXES))
 
 

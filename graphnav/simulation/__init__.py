@@ -68,9 +68,9 @@ SCENARIOS: dict[str, dict[str, Any]] = {
 def simulate(scenario: str, seed: int = 0, **options: Any) -> SensorLog:
     """Simulate a reference scenario.
 
-    The images of roadheader-stereo are named in the log but not made: ``graphnav simulate roadheader-stereo -o L`` writes
-    both, ``gn.write(log, "L")`` the log alone and ``gn.simulation.write_images("L", "roadheader-stereo", seed, ...)`` its
-    images. Who reads a pair whose file is missing is told so.
+    The images of roadheader-stereo are named in the log but not made. ``graphnav simulate roadheader-stereo -o L``
+    writes both; ``gn.write(log, "L")`` writes the log alone, and then
+    ``gn.simulation.write_images("L", "roadheader-stereo", seed, ...)`` its images.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""From light to 8-bit grey levels: airlight through drifting dust, shot and read noise, the square root of the camera."""
+"""From light to 8-bit grey levels: airlight through drifting dust, shot and read noise, the camera's tone."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ class Drift:
         u, v = (_CELL_PX * np.arange(size // _CELL_PX + 2) for size in (camera.width_px, camera.height_px))
         right, down, rate, phase = self.waves.T[:, :, None, None]
         waves = np.cos(right * u + down * v[:, None] + rate * t_s + phase)
-        return np.maximum(1 + self.sigma * np.sqrt(2 / _WAVES) * waves.sum(axis=0), 0.1).astype(np.float32)
+        factor: npt.NDArray[np.float32] = np.maximum(
+            1 + self.sigma * np.sqrt(2 / _WAVES) * waves.sum(axis=0), 0.1
+        ).astype(np.float32)
+        return factor
 
 
 @compiled

@@ -10,7 +10,7 @@ from graphnav.log import StereoTracks
 from graphnav.simulation.ray_caster import trace
 from graphnav.simulation.roadheader_camera import R_BC
 from graphnav.simulation.roadheader_figures import CameraSpec, RoadheaderSpec, TrackSpec
-from graphnav.simulation.roadway_surfaces import Box, box
+from graphnav.simulation.roadway_surfaces import box
 
 Array = npt.NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class Tracker:
 
     def __init__(self, spec: RoadheaderSpec, tracks: TrackSpec, rng: np.random.Generator, on: float) -> None:
         self._spec, self._tracks, self._rng, self._on = spec, tracks, rng, on
-        self._box: Box = box(spec.roadway)
+        self._box = tuple(box(spec.roadway))
         self._points, self._names = np.empty((0, 3)), np.empty(0, int)
         self._next = 1
 
@@ -67,7 +67,8 @@ class Tracker:
         near = (points_c[:, 2] > _NEAREST_M) & (np.linalg.norm(points_c, axis=1) < self._tracks.reach_m)
         left, right, row = project(camera, np.where(near[:, None], points_c, 1.0)).T
         inside = (left >= -0.5) & (left < camera.width_px - 0.5) & (right >= -0.5) & (right < camera.width_px - 0.5)
-        return near & inside & (row >= -0.5) & (row < camera.height_px - 0.5)
+        seen: npt.NDArray[np.bool_] = near & inside & (row >= -0.5) & (row < camera.height_px - 0.5)
+        return seen
 
 
 def camera_pose(camera: CameraSpec, pos_n: Array, rot_nb: Rotation) -> tuple[Array, Array]:

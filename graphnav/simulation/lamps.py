@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from graphnav.simulation.ray_caster import AIR_HALF_M
 from graphnav.simulation.roadheader_figures import CameraSpec, LightSpec
 
 Array = npt.NDArray[np.float64]
 
-#: Light is tabulated over ``t / (t + AIR_HALF_M)`` for depth t: 0 at the camera, 1 far away.
-AIR_HALF_M, AIR_KNOTS = 2.0, 17
+_KNOTS = 21
 _STEP_PX = 4
 _FAR_M = 200.0
 
@@ -25,7 +25,7 @@ def lamp_rows(light: LightSpec) -> Array:
 
 
 def irradiance(light: LightSpec, points_c: Array) -> Array:
-    """Light at points ``(..., 3)`` of the left camera's frame: a vector whose product with a plate's normal it is there.
+    """Light at points ``(..., 3)`` of the left camera's frame; times a plate's normal, what it gets.
 
     Each lamp adds what falls on a plate that faces it, along the way to it.
     """
@@ -39,7 +39,7 @@ def irradiance(light: LightSpec, points_c: Array) -> Array:
 
 
 def glow(light: LightSpec, camera: CameraSpec, shift_m: float) -> npt.NDArray[np.float32]:
-    """What lamps and dust make of each pixel of one camera at each depth, ``(height, width, AIR_KNOTS, 4)``.
+    """What lamps and dust make of each pixel of one camera at each depth, ``(height, width, knots, 4)``.
 
     Lamps and camera ride on the same machine, so that it is always the same. First `irradiance`, as it arrives from
     there and times ``(t + AIR_HALF_M)^2`` (which makes it nearly straight between the knots). Last, airlight: single
@@ -53,9 +53,10 @@ def glow(light: LightSpec, camera: CameraSpec, shift_m: float) -> npt.NDArray[np
     length = np.linalg.norm(rays, axis=-1, keepdims=True)
 
     def arriving(t: float) -> Array:
-        return irradiance(light, t * rays + [shift_m, 0.0, 0.0]) * np.exp(-light.extinction_1_m * t * length)
+        found: Array = irradiance(light, t * rays + [shift_m, 0.0, 0.0]) * np.exp(-light.extinction_1_m * t * length)
+        return found
 
-    share = np.linspace(0, 1, 8 * (AIR_KNOTS - 1) + 1)
+    share = np.linspace(0, 1, 8 * (_KNOTS - 1) + 1)
     depth = np.minimum(AIR_HALF_M * share / np.maximum(1 - share, 1e-9), _FAR_M)
     knots = [arriving(t) * (t + AIR_HALF_M) ** 2 for t in depth[::8]]
     source = light.backscatter * light.extinction_1_m * length[..., 0]

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from graphnav.baselines._compiled import compiled
-from graphnav.simulation.lamps import AIR_HALF_M, AIR_KNOTS
-from graphnav.simulation.ripmap import ACROSS_LEVELS, ALONG_LEVELS
 from graphnav.simulation.roadway_surfaces import ARCH_LEFT, FACE, FLOOR, ROOF, SIDE_LEFT
-from graphnav.simulation.textures import TEXEL_M
 
+# The cache of compiled code looks at this file alone: constants of others have to be among the arguments.
+AIR_HALF_M = 2.0  # light is tabulated over ``t / (t + AIR_HALF_M)`` for depth t: 0 at the camera, 1 far away
 _SIGHT_M = (
     12.0  # at 15 m visibility a wall farther away gives less than half an electron: no need to look at it closely
 )
@@ -29,30 +28,31 @@ _RIM_M = 8.0  # and 5 electrons, where the dust in front of it gives 60: its rim
 @compiled
 def trace(box: Any, p: Any, dx: float, dy: float, dz: float) -> tuple[int, int, float]:
     """The surface that a ray from `p` meets first, its arch (0 for none) and how many times ``d`` it is away."""
+    left, right, floor, roof, back, face, spacing, width, depth, arches = box
     inf = np.inf
-    wall = inf if dx == 0 else ((box.right if dx > 0 else box.left) - p[0]) / dx
-    level = inf if dz == 0 else ((box.roof if dz > 0 else box.floor) - p[2]) / dz
-    end = inf if dy == 0 else ((box.face if dy > 0 else box.back) - p[1]) / dy
-    inner_wall = inf if dx == 0 else wall - box.depth / abs(dx)
-    inner_level = level - box.depth / dz if dz > 0 else level
+    wall = inf if dx == 0 else ((right if dx > 0 else left) - p[0]) / dx
+    level = inf if dz == 0 else ((roof if dz > 0 else floor) - p[2]) / dz
+    end = inf if dy == 0 else ((face if dy > 0 else back) - p[1]) / dy
+    inner_wall = inf if dx == 0 else wall - depth / abs(dx)
+    inner_level = level - depth / dz if dz > 0 else level
     inner = min(inner_wall, inner_level)
     if end <= inner:
         return FACE, 0, end
     if inner_level <= inner_wall and dz < 0:
         return FLOOR, 0, level
     side = 2 if inner_level <= inner_wall else (1 if dx > 0 else 0)
-    along = p[1] + inner * dy - box.back
-    number = math.floor(along / box.spacing)
-    if 1 <= number <= box.arches and along - number * box.spacing < box.width:
+    along = p[1] + inner * dy - back
+    number = math.floor(along / spacing)
+    if 1 <= number <= arches and along - number * spacing < width:
         return ARCH_LEFT + side, number, inner
     outer = min(wall, level, end)
     arch = number + 1 if dy > 0 else number
-    if dy != 0 and 1 <= arch <= box.arches:
-        near = box.back + arch * box.spacing + (0.0 if dy > 0 else box.width)
+    if dy != 0 and 1 <= arch <= arches:
+        near = back + arch * spacing + (0.0 if dy > 0 else width)
         there = (near - p[1]) / dy
         if there < outer:
             x = p[0] + there * dx
-            side = 0 if x < box.left + box.depth else (1 if x > box.right - box.depth else 2)
+            side = 0 if x < left + depth else (1 if x > right - depth else 2)
             return SIDE_LEFT + side, arch, there
     if end <= wall and end <= level:
         return FACE, 0, end
@@ -63,7 +63,7 @@ def trace(box: Any, p: Any, dx: float, dy: float, dz: float) -> tuple[int, int, 
 
 @compiled
 def _level(texels: float, levels: int) -> tuple[int, float]:
-    """The reduction for a footprint, and the share of the next one: about its logarithm to two, exact at whole powers."""
+    """The reduction for a footprint and the share of the next one: nearly its logarithm to two."""
     level = 0
     while texels > 2 and level < levels - 2:
         texels *= 0.5
@@ -81,14 +81,15 @@ def _bilinear(texels: Any, start: int, rows: int, columns: int, x: float, y: flo
     top = texels[k] + a * (float(texels[k + 1]) - texels[k])
     k += columns
     low = texels[k] + a * (float(texels[k + 1]) - texels[k])
-    return top + b * (low - top)
+    found: float = top + b * (low - top)
+    return found
 
 
 @compiled
 def _lookup(texels: Any, place: Any, surface: int, along: float, across: float, wide: float, high: float) -> float:
     """Texture at a point (texels) over a footprint (texels): linear between texels and between reductions."""
-    i, a = _level(wide, ALONG_LEVELS)
-    j, b = _level(high, ACROSS_LEVELS)
+    i, a = _level(wide, place.shape[1])
+    j, b = _level(high, place.shape[2])
     x0, y0 = along / (1 << i), across / (1 << j)
     x1, y1 = 0.5 * x0 - 0.5, 0.5 * y0 - 0.5
     x0, y0 = x0 - 0.5, y0 - 0.5
@@ -108,7 +109,18 @@ def _lookup(texels: Any, place: Any, surface: int, along: float, across: float, 
 
 @compiled
 def _seen(
-    box: Any, texels: Any, place: Any, p: Any, rot: Any, pixel: float, x: float, y: float, glow: Any, v: int, u: int
+    box: Any,
+    texels: Any,
+    place: Any,
+    texel: float,
+    p: Any,
+    rot: Any,
+    pixel: float,
+    x: float,
+    y: float,
+    glow: Any,
+    v: int,
+    u: int,
 ) -> tuple[int, float, float, float]:
     """What a ray of the camera meets: key of surface and arch, depth (m), light from there, airlight.
 
@@ -119,20 +131,21 @@ def _seen(
     dz = rot[2][0] * x + rot[2][1] * y + rot[2][2]
     surface, arch, t = trace(box, p, dx, dy, dz)
     x_axis, y_axis, z_axis = rot
+    left, right, floor, roof, back, _, spacing, width, depth, _ = box
     # The axis of n along the surface's normal, and those along its texture: a row of `rot`, and place and ray along it.
-    along, across = p[1] + t * dy - box.back, p[2] + t * dz - box.floor
+    along, across = p[1] + t * dy - back, p[2] + t * dz - floor
     normal, first, second = x_axis, y_axis, z_axis
     dn, di, dj = dx, dy, dz
-    if surface == FLOOR or surface == ROOF or surface == ARCH_LEFT + 2:
+    if surface in (FLOOR, ROOF, ARCH_LEFT + 2):
         normal, second = z_axis, x_axis
-        across, dn, dj = p[0] + t * dx - box.left, dz, dx
+        across, dn, dj = p[0] + t * dx - left, dz, dx
     elif surface == SIDE_LEFT + 2:
         normal, first, second = y_axis, z_axis, x_axis
-        along, across = box.roof - p[2] - t * dz, p[0] + t * dx - box.left
+        along, across = roof - p[2] - t * dz, p[0] + t * dx - left
         dn, di, dj = dy, dz, dx
     elif surface == FACE or surface >= SIDE_LEFT:
         normal, first = y_axis, x_axis
-        along, dn, di = p[0] + t * dx - box.left, dy, dx
+        along, dn, di = p[0] + t * dx - left, dy, dx
     # the texture's shift by a pixel to the right and by a pixel down
     s, q = t * pixel, 1 / dn
     nr, nd = normal[0] * q, normal[1] * q
@@ -140,15 +153,15 @@ def _seen(
     high = s * (abs(second[0] - dj * nr) + abs(second[1] - dj * nd))
     if surface >= SIDE_LEFT:
         if surface == SIDE_LEFT + 1:
-            along = box.right - box.left - along
-        along += arch * box.depth
+            along = right - left - along
+        along += arch * depth
     elif surface >= ARCH_LEFT:
-        along += arch * (box.width - box.spacing)
+        along += arch * (width - spacing)
     albedo = _DIM
     if t < _SIGHT_M:
-        albedo = _lookup(texels, place, surface, along / TEXEL_M, across / TEXEL_M, wide / TEXEL_M, high / TEXEL_M)
+        albedo = _lookup(texels, place, surface, along / texel, across / texel, wide / texel, high / texel)
     far = 1 / (t + AIR_HALF_M)
-    b = t * far * (AIR_KNOTS - 1)
+    b = t * far * (glow.shape[2] - 1)
     k = int(b)
     b -= k
     a = 1 - b
@@ -161,7 +174,17 @@ def _seen(
 
 @compiled
 def cast(
-    box: Any, texels: Any, place: Any, p: Any, rot: Any, camera: Any, glow: Any, light: Any, air: Any, depth: Any
+    box: Any,
+    texels: Any,
+    place: Any,
+    texel: float,
+    p: Any,
+    rot: Any,
+    camera: Any,
+    glow: Any,
+    light: Any,
+    air: Any,
+    depth: Any,
 ) -> None:
     """Fill the images `light` (from surfaces), `air` (from dust) and `depth` (m).
 
@@ -174,7 +197,7 @@ def cast(
     for v in range(rows):
         y = (v - cy) * pixel
         for u in range(columns):
-            found = _seen(box, texels, place, p, rot, pixel, (u - cx) * pixel, y, glow, v, u)
+            found = _seen(box, texels, place, texel, p, rot, pixel, (u - cx) * pixel, y, glow, v, u)
             key[v, u], depth[v, u], light[v, u], air[v, u] = found
     for v in range(rows):
         for u in range(columns):
@@ -191,7 +214,7 @@ def cast(
                 a, b = (q % 2) - 0.5, (q // 2) - 0.5
                 du, dv = 0.5 * a + 0.25 * b, 0.5 * b - 0.25 * a
                 found = _seen(
-                    box, texels, place, p, rot, pixel, (u + du - cx) * pixel, (v + dv - cy) * pixel, glow, v, u
+                    box, texels, place, texel, p, rot, pixel, (u + du - cx) * pixel, (v + dv - cy) * pixel, glow, v, u
                 )
                 total += found[2]
                 scattered += found[3]

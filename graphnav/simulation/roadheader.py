@@ -1,7 +1,6 @@
 """The log of a roadheader with an IMU and a stereo camera; its images are rendered apart from it.
 
-The paper: "A roadheader positioning method based on stereo visual odometry and the SINS" has roadway, camera and the
-times of the turns; see `graphnav.simulation.roadheader_figures`.
+What is the paper's and what is chosen: `graphnav.simulation.roadheader_figures`.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from graphnav.simulation.ray_caster import cast
 from graphnav.simulation.ripmap import ripmap
 from graphnav.simulation.roadheader_figures import RoadheaderSpec
 from graphnav.simulation.roadway_surfaces import box
-from graphnav.simulation.textures import textures
+from graphnav.simulation.textures import TEXEL_M, textures
 
 Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
@@ -51,7 +51,16 @@ class StereoCamera:
         found = np.empty((3, camera.height_px, camera.width_px))
         figures = (camera.focal_px, (camera.width_px - 1) / 2, (camera.height_px - 1) / 2)
         axes = tuple(map(tuple, rot_nc.tolist()))
-        cast(box(self.spec.roadway), *self._maps, tuple(place_n.tolist()), axes, figures, self._glow[right], *found)
+        cast(
+            tuple(box(self.spec.roadway)),
+            *self._maps,
+            TEXEL_M,
+            tuple(place_n.tolist()),
+            axes,
+            figures,
+            self._glow[right],
+            *found,
+        )
         return found
 
     def pair(self, frame: int, t_s: float, pos_n: Array, rot_nb: Rotation) -> tuple[Grey, Grey]:

@@ -1,14 +1,14 @@
 """The figures of the roadheader scenario: machine, roadway, stereo camera, lamps and dust.
 
-The paper: "Roadheader positioning by stereo visual-inertial odometry" has the roadway, the camera and the times of the
-turns; the scenario has the IMU, the rest at the start and the visibility. All else here is chosen: how the machine turns
-and vibrates, what the walls look like, lamps, exposure and the tracks of features.
+The paper on a roadheader's visual-inertial odometry (stereo camera and SINS) has the roadway, the camera and the times
+of the turns; the scenario has the IMU, the rest at the start and the visibility. All else here is chosen: how the
+machine turns and vibrates, lamps, exposure and the tracks of features.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from graphnav.errors import ConfigError
 from graphnav.simulation.machine_figures import ImuGrade, MachineSpec, Triple
@@ -16,7 +16,7 @@ from graphnav.simulation.machine_figures import ImuGrade, MachineSpec, Triple
 
 @dataclass(frozen=True)
 class RoadwaySpec:
-    """A box in n with steel arches: pixel centres of nothing, metres of everything.
+    """A box in n with steel arches.
 
     The machine starts at the origin, which is 1.8 m above the floor, midway between the walls and 1.5 m from the end
     behind it. Arches stand proud of walls and roof; the face, to be cut, closes the roadway ahead.
@@ -135,8 +135,6 @@ def roadheader_stereo(
     rate_hz: float = 5.0, images: bool = True, tracks: bool = False, outlier_share: float = 0.0
 ) -> RoadheaderSpec:
     """`roadheader-stereo` at a frame rate, with images, tracks of features or both."""
-    from dataclasses import replace
-
     if isinstance(rate_hz, bool) or not isinstance(rate_hz, int | float) or not MIN_RATE_HZ <= rate_hz <= MAX_RATE_HZ:
         raise ConfigError(f"rate_hz = {rate_hz!r}, expected {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g}")
     for name, value in (("images", images), ("tracks", tracks)):

@@ -17,7 +17,7 @@ COUNT = 11
 
 
 class Box(NamedTuple):
-    """`RoadwaySpec` as plain numbers for compiled code; m in n."""
+    """`RoadwaySpec` as plain numbers; m in n. Compiled code gets it as a tuple, whose cache outlives this class."""
 
     left: float
     right: float
@@ -28,7 +28,7 @@ class Box(NamedTuple):
     spacing: float
     width: float
     depth: float
-    arches: int
+    arches: float  # how many
 
 
 def box(spec: RoadwaySpec) -> Box:
@@ -44,7 +44,7 @@ def box(spec: RoadwaySpec) -> Box:
         spec.arch_spacing_m,
         spec.arch_width_m,
         spec.arch_depth_m,
-        int(np.floor((length - spec.arch_width_m) / spec.arch_spacing_m - 1e-9)),
+        float(np.floor((length - spec.arch_width_m) / spec.arch_spacing_m - 1e-9)),
     )
 
 

@@ -56,7 +56,8 @@ def noise(
     spectrum *= (frequency**-slope).astype(np.float32)
     spectrum[0, 0] = 0.0
     field: Image = fft.irfft2(spectrum, s=shape, workers=1)
-    return field / field.std()
+    field /= field.std()
+    return field
 
 
 def _rock(shape: tuple[int, int], rng: np.random.Generator, strata: bool) -> Image:
@@ -72,7 +73,8 @@ def _rock(shape: tuple[int, int], rng: np.random.Generator, strata: bool) -> Ima
         waviness = 30 * noise(shape, rng, 2.5, 4.0)[shape[0] // 2]
         rows = np.arange(shape[0])[:, None] + waviness.astype(int)[None]
         image *= np.exp(0.6 * np.sign(layers) * np.abs(layers) ** 0.5)[np.clip(rows, 0, shape[0] - 1)]
-    return image.astype(np.float32)
+    rock: Image = image.astype(np.float32)
+    return rock
 
 
 def _rubble(shape: tuple[int, int], rng: np.random.Generator) -> Image:
@@ -82,13 +84,15 @@ def _rubble(shape: tuple[int, int], rng: np.random.Generator) -> Image:
     lit = 0.42 * np.exp(0.5 * noise(shape, rng, 2.0, 0.12))
     share = np.clip((stones - 0.9) * 6, 0, 1)
     rim = np.exp(-(((stones - 0.9) / 0.12) ** 2))
-    return (((1 - share) * mud + share * lit) * (1 - 0.6 * rim)).astype(np.float32)
+    image: Image = (((1 - share) * mud + share * lit) * (1 - 0.6 * rim)).astype(np.float32)
+    return image
 
 
 def _steel(shape: tuple[int, int], rng: np.random.Generator) -> Image:
     """Grey with rust and dust."""
     rust = np.tanh(3 * noise(shape, rng, 1.8, 0.3))
-    return (0.42 * np.exp(0.3 * rust + 0.25 * noise(shape, rng, 1.0, 0.2))).astype(np.float32)
+    image: Image = (0.42 * np.exp(0.3 * rust + 0.25 * noise(shape, rng, 1.0, 0.2))).astype(np.float32)
+    return image
 
 
 def _grooves(image: Image, rng: np.random.Generator) -> None:
