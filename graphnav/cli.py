@@ -131,7 +131,10 @@ def _add_import(group: Any) -> None:
 
 
 def _add_simulate(group: Any) -> None:
-    text = "Simulate a reference scenario, truth included: shearer-mems, full-shift, shearer-lidar, face-end-uwb."
+    text = (
+        "Simulate a reference scenario, truth included: shearer-mems, full-shift, shearer-lidar, face-end-uwb,"
+        " roadheader-stereo."
+    )
     example = "graphnav simulate shearer-mems --seed 11 -o shift/"
     parser = _command(group, "simulate", commands.simulate, text, example)
     parser.add_argument("scenario", metavar="SCENARIO")
@@ -153,6 +156,14 @@ def _add_simulate(group: Any) -> None:
     parser.add_argument("--nlos-share", type=float, metavar="X", help=delayed)
     most = "face-end-uwb: they are late by up to so much (default 3)"
     parser.add_argument("--nlos-max", "--nlos-max-m", dest="nlos_max_m", type=float, metavar="M", help=most)
+    frames = "roadheader-stereo: frames per second, 1 to 30 (default 5)"
+    parser.add_argument("--rate", "--rate-hz", dest="rate_hz", type=float, metavar="HZ", help=frames)
+    pairs = "roadheader-stereo: rendered image pairs (default: with them)"
+    parser.add_argument("--images", action=argparse.BooleanOptionalAction, help=pairs)
+    tracks = "roadheader-stereo: tracks of features drawn without images"
+    parser.add_argument("--tracks", action="store_const", const=True, help=tracks)
+    wrong = "roadheader-stereo: share of wrong matches among the tracks, 0 to less than 1"
+    parser.add_argument("--outlier-share", type=float, metavar="X", help=wrong)
 
 
 def _add_smooth(group: Any) -> None:
