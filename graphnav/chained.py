@@ -11,6 +11,7 @@ from factors.increments import npt_int
 from factors.so3 import Array, to_quaternion, transpose
 from graphnav._memory import peak_bytes
 from graphnav._stages import Stages
+from graphnav.agreement import agreeing_ranges
 from graphnav.chain_graph import (
     chain_graph,
     chain_values,
@@ -26,7 +27,6 @@ from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
 from graphnav.problem import A, D, X
-from graphnav.range_agreement import agreeing_ranges
 from graphnav.ranges import slots
 from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
 from graphnav.solvers import batch

@@ -129,6 +129,32 @@ class UwbConfig(_Section):
     reject_sigmas: float = Field(4.0, gt=0, description="ranges that are off by more are left out in the end")
 
 
+class RelativePoseConfig(_Section):
+    """Motions of the camera: given as relative poses, or found from its images."""
+
+    use: bool = True
+    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
+        "geman-mcclure", description="how motions that disagree are found; none: all count in full"
+    )
+    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
+    reject_sigmas: float = Field(4.0, gt=0, description="motions that are off by more are left out in the end")
+
+
+class StereoConfig(_Section):
+    """Features that a stereo camera tracks."""
+
+    form: Literal["tight", "loose", "off"] = Field(
+        "tight", description="every feature a point of the graph, or relative poses from them; off: neither"
+    )
+    moved_px: float = Field(8.0, gt=0, description="a keyframe where features have moved this far since the last one")
+    shared: float = Field(0.6, gt=0, lt=1, description="or fewer than this share of them are still seen")
+    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
+        "geman-mcclure", description="how readings that disagree are found; none: all count in full"
+    )
+    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
+    reject_sigmas: float = Field(4.0, gt=0, description="readings that are off by more are left out in the end")
+
+
 class StereoTracksConfig(_Section):
     """Features followed through image pairs, where the log has images and no tracks."""
 
@@ -208,6 +234,8 @@ class Config(_Section):
     position: PositionConfig = PositionConfig()
     lidar: LidarConfig = LidarConfig()
     uwb: UwbConfig = UwbConfig()
+    relative_pose: RelativePoseConfig = RelativePoseConfig()
+    stereo: StereoConfig = StereoConfig()
     stereo_tracks: StereoTracksConfig = StereoTracksConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()

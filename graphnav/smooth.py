@@ -15,6 +15,7 @@ from types import ModuleType
 from factors.so3 import Array, to_quaternion
 from graphnav._memory import peak_bytes
 from graphnav._stages import ProgressHook, Stages
+from graphnav.camera_outcome import camera_warnings, left_out_counts
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.rest import rest_spans
@@ -137,6 +138,10 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
         noted += range_warnings(problem.log.uwb, counts, found)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
+    left_out = rejected(counts)
+    if solved.camera is not None and solved.camera_left_out is not None:
+        noted += camera_warnings(problem, solved.camera, solved.camera_left_out)
+        left_out |= left_out_counts(solved.camera_left_out)
     diagnostics = Diagnostics(
         method=method,
         converged=solved.result.converged,
@@ -144,7 +149,7 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         keyframes=count,
         seconds=stages.total(),
         peak_rss_mb=peak_bytes() / 1e6,
-        rejected=rejected(counts),
+        rejected=left_out,
         warnings=noted,
         history=steps,
     )

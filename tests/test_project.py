@@ -53,6 +53,10 @@ FLOORS = (
     },
     {
         "graphnav.graph",
+        "graphnav.camera",
+        "graphnav.motions",
+        "graphnav.mounting",
+        "graphnav.tracks",
         "graphnav.chain_graph",
         "graphnav.chain_problem",
         "graphnav.chain_ranges",
@@ -66,7 +70,7 @@ FLOORS = (
         "graphnav.anchor_priors",
         "graphnav.preintegration",
     },
-    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement", "graphnav.range_agreement"},
+    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement", "graphnav.agreement"},
     {
         "graphnav.smooth",
         "graphnav.outcome",
@@ -83,6 +87,7 @@ FLOORS = (
         "graphnav.face_line",
         "graphnav.creep",
         "graphnav.range_outcome",
+        "graphnav.camera_outcome",
     },
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )

@@ -27,10 +27,14 @@ def camera_mounting(stereo: Stereo | None) -> tuple[Array, Array]:
     return so3.from_quaternion(quat), pos
 
 
+def camera_motions(poses: RelativePose) -> Motions:
+    """Motions of c with their covariances, one for each row."""
+    return Motions(so3.from_quaternion(poses.quat), poses.pos_m, _covariances(poses))
+
+
 def body_motions(poses: RelativePose, stereo: Stereo | None) -> Motions:
     """Motions of b with their covariances, one for each row."""
-    motions = Motions(so3.from_quaternion(poses.quat), poses.pos_m, _covariances(poses))
-    return seen_from(motions, *camera_mounting(stereo))
+    return seen_from(camera_motions(poses), *camera_mounting(stereo))
 
 
 def motion_chain(log: SensorLog) -> Chain:
@@ -42,9 +46,19 @@ def motion_chain(log: SensorLog) -> Chain:
     """
     poses = log.relative_pose
     assert poses is not None
-    _check_times(poses)
-    motions = body_motions(poses, log.stereo)
-    smallest = np.linalg.eigvalsh(motions.cov)[:, 0]
+    check_motions(poses)
+    _check_chain(poses)
+    return Chain.of(np.append(poses.t_from_s, poses.t_to_s[-1]), body_motions(poses, log.stereo))
+
+
+def check_motions(poses: RelativePose) -> None:
+    """Refuse motions that take no time, and covariances that are none; by row."""
+    backward = poses.t_to_s <= poses.t_from_s
+    if backward.any():
+        row = int(np.argmax(backward))
+        problem = f"{poses.t_to_s[row]:.6f} s is not after t_from_s = {poses.t_from_s[row]:.6f} s"
+        raise poses.error(problem, row=row, column="t_to_s", fix="state when the motion ends")
+    smallest = np.linalg.eigvalsh(_covariances(poses))[:, 0]
     if (smallest <= 0).any():
         row = int(np.argmax(smallest <= 0))
         raise poses.error(
@@ -53,15 +67,9 @@ def motion_chain(log: SensorLog) -> Chain:
             column="c_00 ... c_55",
             fix="give every direction an error of its own, however small",
         )
-    return Chain.of(np.append(poses.t_from_s, poses.t_to_s[-1]), motions)
 
 
-def _check_times(poses: RelativePose) -> None:
-    backward = poses.t_to_s <= poses.t_from_s
-    if backward.any():
-        row = int(np.argmax(backward))
-        problem = f"{poses.t_to_s[row]:.6f} s is not after t_from_s = {poses.t_from_s[row]:.6f} s"
-        raise poses.error(problem, row=row, column="t_to_s", fix="state when the motion ends")
+def _check_chain(poses: RelativePose) -> None:
     near = np.minimum(_SAME_S, _SAME_SHARE * (poses.t_to_s - poses.t_from_s)[:-1])
     apart = np.abs(poses.t_from_s[1:] - poses.t_to_s[:-1]) > near
     if apart.any():

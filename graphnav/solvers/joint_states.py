@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array
+from graphnav.camera import Camera
 from graphnav.graph import build_graph
 from graphnav.legs import LegReadings
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import B, C, D, L, Problem, V, X
+from graphnav.problem import SIZES, B, C, D, L, Problem, V, X
 from graphnav.ranges import RangeReadings, slots
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.solvers.elimination import eliminate, elimination
@@ -27,8 +28,6 @@ if TYPE_CHECKING:
 
     from factors.advance import AdvanceFamily
 
-#: Sizes of the variables by the letter of their key.
-_DIMS = {ord(letter): size for letter, size in zip("xvbcklda", (6, 3, 6, 4, 1, 4, 8, 4), strict=True)}
 Progress = Callable[[float, float], None]
 
 
@@ -41,6 +40,7 @@ def graph_covariances(
     legs: LegReadings | None = None,
     advances: AdvanceFamily | None = None,
     ranges: RangeReadings | None = None,
+    camera: Camera | None = None,
     causal: bool = False,
     progress: Progress | None = None,
 ) -> Array:
@@ -51,14 +51,14 @@ def graph_covariances(
     keyframes : ascending; causal : False for the whole log, True for the log up to each keyframe.
     legs : the readings of LiDAR legs that take part; a reading counts from the last of its detections on.
     advances : pairs of these legs; a pair counts from the first reading of the later one on.
-    ranges : the UWB ranges that take part.
+    ranges : the UWB ranges that take part; camera : what the camera says.
 
     Returns
     -------
     (T, 19, 19), or (T, 15, 15) without an odometer: bias and calibration are those of the interval that ends at the
     keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`.
     """
-    graph, scanner = build_graph(problem, data, legs, advances, ranges), list[int]()
+    graph, scanner = build_graph(problem, data, legs, advances, ranges, camera), list[int]()
     if legs is not None and problem.log.lidar is not None:
         graph, scanner = graph.only_legs(legs, problem.log.lidar), [D(0)]
     groups = {i: (*_state_keys(problem, i), *scanner) for i in keyframes}
@@ -203,12 +203,12 @@ def _tie(keys: tuple[int, ...]) -> gtsam.GaussianFactor:
 
     parts = gtsam.GaussianFactorGraph()
     for key in keys:
-        size = _DIMS[key >> 56]
+        size = SIZES[key >> 56]
         parts.push_back(gtsam.JacobianFactor(key, np.zeros((1, size)), np.zeros(1), gtsam.noiseModel.Unit.Create(1)))
     return gtsam.JacobianFactor(parts)
 
 
 def _sizes(problem: Problem) -> Callable[[int], int]:
     """Size of the variable of a key."""
-    sizes = _DIMS | {ord("m"): slots(problem)}
+    sizes = SIZES | {ord("m"): slots(problem)}
     return lambda key: sizes[key >> 56]
