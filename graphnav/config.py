@@ -155,6 +155,21 @@ class StereoConfig(_Section):
     reject_sigmas: float = Field(4.0, gt=0, description="readings that are off by more are left out in the end")
 
 
+class StereoTracksConfig(_Section):
+    """Features followed through image pairs, where the log has images and no tracks."""
+
+    features: Literal["orb", "sift"] = "orb"
+    enhance: Literal["none", "clahe", "retinex-dust"] = Field("none", description="what is done to the images before")
+    follow: Literal["flow", "descriptors"] = Field(
+        "flow", description="from frame to frame by the image around a feature, or by matching descriptors as the paper"
+    )
+    subpixel: bool = Field(True, description="places to a fraction of a pixel, by correlation with the first sight")
+    max_features: int = Field(300, ge=8, le=5000, description="features followed at a time, spread over the image")
+    min_features: int = Field(12, ge=3, description="a frame with fewer is skipped")
+    min_depth_m: float = Field(1.0, gt=0, description="nothing is nearer; it bounds the disparities looked at")
+    min_disparity_px: float = Field(0.5, ge=0, description="features farther away than this tells are left out")
+
+
 class FilterConfig(_Section):
     """The error-state Kalman filter of the methods ekf, rts and rts-online."""
 
@@ -236,6 +251,7 @@ class Config(_Section):
     uwb: UwbConfig = UwbConfig()
     relative_pose: RelativePoseConfig = RelativePoseConfig()
     stereo: StereoConfig = StereoConfig()
+    stereo_tracks: StereoTracksConfig = StereoTracksConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()
