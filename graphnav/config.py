@@ -129,6 +129,25 @@ class UwbConfig(_Section):
     reject_sigmas: float = Field(4.0, gt=0, description="ranges that are off by more are left out in the end")
 
 
+class StereoConfig(_Section):
+    """Motions of the stereo camera from tracked points."""
+
+    use: bool = True
+    min_inliers: int = Field(20, ge=6, description="fewest points that have to agree on a motion")
+    inlier_sigmas: float = Field(4.0, gt=0, description="points that are off by more are taken for wrong matches")
+    shared: float = Field(
+        0.5, gt=0, lt=1, description="the next keyframe is the last that sees this share of a keyframe's points"
+    )
+    keyframe_m: float = Field(1.0, gt=0, description="and not farther away, where frames are close enough")
+    keyframe_deg: float = Field(10.0, gt=0, description="nor turned by more")
+    rotation_prior: Literal["off", "gate", "fuse"] = Field(
+        "gate",
+        description="what the IMU's rotation is for: rejecting wrong motions, or also improving them (stereo alone;"
+        " beside the IMU in a graph it would count twice)",
+    )
+    rotation_gate_sigmas: float = Field(5.0, gt=0, description="a motion turned farther from it is a failure")
+
+
 class FilterConfig(_Section):
     """The error-state Kalman filter of the methods ekf, rts and rts-online."""
 
@@ -193,6 +212,7 @@ class Config(_Section):
     position: PositionConfig = PositionConfig()
     lidar: LidarConfig = LidarConfig()
     uwb: UwbConfig = UwbConfig()
+    stereo: StereoConfig = StereoConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()
