@@ -110,7 +110,7 @@ def _of_samples(camera: StereoCamera, matches: Matches, sample: Indices) -> tupl
     for _ in range(_SAMPLE_STEPS):
         matrix, gradient = sample_equations(lens, rotation, pos, first, second)
         matrix[:, axes, axes] = matrix[:, axes, axes] * (1 + 1e-6) + 1e-9  # three points on a line leave a turn open
-        step: Array = np.linalg.solve(matrix, gradient[..., None])[..., 0]
+        step = np.asarray(np.linalg.solve(matrix, gradient[..., None])[..., 0], float)
         step = step / np.maximum(1.0, np.linalg.norm(step[:, :3], axis=1) / _LARGEST_TURN)[:, None]
         pos = pos + (rotation @ step[:, 3:, None])[..., 0]
         rotation = rotation @ so3.exp(step[:, :3])

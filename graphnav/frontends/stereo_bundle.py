@@ -247,9 +247,10 @@ def _seeming(camera: StereoCamera, matches: Matches, found: Bundle) -> Array:
     """What noise of the points adds to the information (6, 6): by so much it grows when they get it once more."""
     lens = lens_of(camera)
     terms = _terms(lens, matches, found.rotation, found.pos_m, found.readings)
-    values, vectors = np.linalg.eigh(np.eye(3) - so3.transpose(terms.by_reading) @ terms.weight @ terms.by_reading)
-    normal = np.random.default_rng(0).normal(size=(_DRAWS, len(matches), 3))
-    noise = (vectors @ (np.sqrt(np.maximum(values, 0.0)) * normal)[..., None])[..., 0] * matches.sigma_px
+    back = so3.transpose(terms.by_reading)
+    cov = np.eye(3) - back @ terms.weight @ terms.by_reading  # of a point's reading, the inverse of I + H^T H
+    normal = np.random.default_rng(0).normal(size=(2, _DRAWS, len(matches), 3, 1))
+    noise = matches.sigma_px * (cov @ (normal[0] + back @ normal[1]))[..., 0]
     share = found.inlier / matches.sigma_px**2
     moved = (found.readings + part for part in (*noise, *-noise))
     noisier = [_normal(_terms(lens, matches, found.rotation, found.pos_m, y), share)[0] for y in moved]
