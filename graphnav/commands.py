@@ -27,12 +27,13 @@ IMPORTERS = {
     "comma2k19": ("graphnav.readers.comma2k19", ("wheel_scale",)),
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
+    "kitti-tracks": ("graphnav.readers.kitti_tracks", ()),
     "lego": ("graphnav.readers.lego", ()),
     "plaza": ("graphnav.readers.plaza", ()),
     "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg", "stereo")),
 }
 #: Formats whose data come with the gtsam package.
-_WITH_GTSAM = ("kitti-gtsam", "plaza")
+_WITH_GTSAM = ("kitti-gtsam", "kitti-tracks", "plaza")
 
 
 def demo(arguments: argparse.Namespace) -> None:

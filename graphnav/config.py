@@ -174,10 +174,10 @@ class StereoMotionsConfig(_Section):
     min_inliers: int = Field(20, ge=6, description="fewest points that have to agree on a motion")
     inlier_sigmas: float = Field(4.0, gt=0, description="points that are off by more are taken for wrong matches")
     shared: float = Field(
-        0.5, gt=0, lt=1, description="the next keyframe is the last that sees this share of a keyframe's points"
+        0.7, gt=0, lt=1, description="the next keyframe is the last that sees this share of a keyframe's features"
     )
-    keyframe_m: float = Field(1.0, gt=0, description="and not farther away, where frames are close enough")
-    keyframe_deg: float = Field(10.0, gt=0, description="nor turned by more")
+    keyframe_m: float = Field(0.5, gt=0, description="and, where frames are close enough, not much farther away")
+    keyframe_deg: float = Field(10.0, gt=0, description="nor turned by much more")
     rotation_prior: Literal["off", "gate", "fuse"] = Field(
         "gate",
         description="what the IMU's rotation is for: rejecting wrong motions, or also improving them (stereo alone;"

@@ -35,6 +35,7 @@ FLOORS = (
         "graphnav.config",
         "graphnav.evaluation",
         "graphnav._metrics",
+        "graphnav._drift",
         "graphnav._directions",
         "graphnav._observability",
         "graphnav._consistency",

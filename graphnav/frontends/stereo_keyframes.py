@@ -21,6 +21,9 @@ from graphnav.frontends.stereo_motion import MotionFailure, StereoMotion
 
 #: A frame has to share this many times the fewest inliers to be reached over others.
 _AMPLE = 2
+#: A motion this many times too long is given up for a shorter one. Far above 1: to take a motion because its own
+#: estimate is just short enough would choose those that are too short (measured: 0.25 % of the way).
+_TOO_FAR = 2.0
 #: Frames nearer by are tried this often for one that is near enough.
 _NEARER = 4
 
@@ -47,20 +50,19 @@ class Linker:
 
     def links(self) -> Iterator[Link]:
         """From the first frame to the last. Where even the next frame gives no motion, it is where it goes on."""
-        at = 0
+        at, pace = 0, np.inf
         while at < len(self.frames) - 1:
-            link = self._next(at)
+            link = self._next(at, pace)
             yield link
-            at = link.second
+            at, pace = link.second, self._pace(link)
 
-    def _next(self, at: int) -> Link:
-        """The motion to the farthest frame that gives one and is near enough."""
-        link = self._reached(at, self._last_shared(at))
+    def _next(self, at: int, pace: float) -> Link:
+        """The motion to the farthest frame that gives one and, at the pace so far, is near enough."""
+        ahead = min(self._last_shared(at) - at, pace)
+        link = self._reached(at, at + max(1, int(ahead)))
         for _ in range(_NEARER):
-            if link.second == at + 1 or isinstance(link.motion, MotionFailure):
-                break
-            excess = self._excess(link.motion)
-            if excess <= 1:
+            excess = self._excess(link)
+            if link.second == at + 1 or excess <= _TOO_FAR:
                 break
             link = self._reached(at, at + max(1, int((link.second - at) / excess)))
         return link
@@ -81,8 +83,14 @@ class Linker:
             last += 1
         return last
 
-    def _excess(self, motion: StereoMotion) -> float:
-        """How many times the largest way or turn between keyframes a motion is."""
-        way = float(np.linalg.norm(motion.pos_m)) / self.settings.keyframe_m
-        turn = float(np.rad2deg(np.linalg.norm(so3.log(motion.rotation)))) / self.settings.keyframe_deg
+    def _pace(self, link: Link) -> float:
+        """Frames in which a motion of that pace goes as far as keyframes may be apart."""
+        return (link.second - link.first) / max(self._excess(link), 1e-9)
+
+    def _excess(self, link: Link) -> float:
+        """How many times the largest way or turn between keyframes a motion is; 0 for none."""
+        if isinstance(link.motion, MotionFailure):
+            return 0.0
+        way = float(np.linalg.norm(link.motion.pos_m)) / self.settings.keyframe_m
+        turn = float(np.rad2deg(np.linalg.norm(so3.log(link.motion.rotation)))) / self.settings.keyframe_deg
         return max(way, turn)
