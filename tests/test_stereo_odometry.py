@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from factors import so3
 from factors.relative_pose import Chain, Motions, relative
 from graphnav._drift import kitti_drift
-from graphnav.config import StereoConfig
+from graphnav.config import StereoMotionsConfig
 from graphnav.errors import GraphnavError, LogError
 from graphnav.frontends.motion_chain import camera_mounting, motion_chain
 from graphnav.frontends.stereo_bundle import RotationPrior
@@ -22,7 +22,7 @@ from graphnav.log import SensorLog, StereoTracks
 from graphnav.readers import kitti_tracks
 
 SEED = 67
-SETTINGS = StereoConfig()
+SETTINGS = StereoMotionsConfig()
 
 
 @cache
@@ -211,7 +211,7 @@ def test_drift_of_too_short_a_path() -> None:
 # Tracks of a real drive -------------------------------------------------------------------------------------
 
 
-def kitti_chain(settings: StereoConfig) -> tuple[StereoMotions, tuple[np.ndarray, ...], np.ndarray]:
+def kitti_chain(settings: StereoMotionsConfig) -> tuple[StereoMotions, tuple[np.ndarray, ...], np.ndarray]:
     """Motions, the chain's poses, and where they are among the file's poses."""
     found = stereo_motions(kitti_tracks.convert(), settings)
     poses = found.poses
@@ -237,7 +237,7 @@ def test_poses_of_the_drive_are_a_visual_odometry_of_its_features() -> None:
 
 def test_longer_motions_of_the_drive_agree() -> None:
     """Every other pair, not those that the file's poses were made of."""
-    found, chain, at = kitti_chain(StereoConfig(shared=0.5, keyframe_m=5.0))
+    found, chain, at = kitti_chain(StereoMotionsConfig(shared=0.5, keyframe_m=5.0))
     assert not found.failures and len(found.poses) < 100
     _, rotation, pos = kitti_tracks.estimated_poses()
     agreement = kitti_drift(chain, (rotation[at], pos[at]), (10.0, 20.0, 30.0, 40.0, 50.0))
