@@ -7,6 +7,7 @@ import importlib
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +26,7 @@ IMPORTERS = {
     "comma2k19": ("graphnav.readers.comma2k19", ("wheel_scale",)),
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
+    "kitti-stereo": ("graphnav.readers.kitti_stereo", ()),
     "lego": ("graphnav.readers.lego", ()),
     "plaza": ("graphnav.readers.plaza", ()),
     "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg",)),
@@ -58,6 +60,7 @@ def info(arguments: argparse.Namespace) -> None:
 
 def import_log(arguments: argparse.Namespace) -> None:
     """Convert recorded data to a log folder."""
+    from graphnav.readers.image_files import gathered
     from graphnav.report.terminal import working
 
     module, options = IMPORTERS[arguments.format]
@@ -70,8 +73,8 @@ def import_log(arguments: argparse.Namespace) -> None:
     if arguments.source is None and arguments.format not in _WITH_GTSAM:
         raise GraphnavError(f"{arguments.format} needs SRC, the folder of its data")
     with working("converting"):
-        log = importlib.import_module(module).convert(arguments.source, **chosen)
-        _write(log, arguments)
+        log, images = gathered(importlib.import_module(module).convert(arguments.source, **chosen))
+        _write(log, arguments, images)
 
 
 def simulate(arguments: argparse.Namespace) -> None:
@@ -267,10 +270,10 @@ def _read(path: Path) -> SensorLog:
         return read(path)
 
 
-def _write(log: SensorLog, arguments: argparse.Namespace) -> None:
+def _write(log: SensorLog, arguments: argparse.Namespace, images: Callable[[Path], None] | None = None) -> None:
     from graphnav.readers import write
 
-    write(log, arguments.output, tables=arguments.tables, overwrite=arguments.overwrite)
+    write(log, arguments.output, tables=arguments.tables, overwrite=arguments.overwrite, images=images)
     rows = ", ".join(f"{name} {len(table):,}" for name, table in log.tables().items())
     print(f"wrote {arguments.output}: {rows}", file=sys.stderr)
 
