@@ -13,7 +13,7 @@ from graphnav.errors import LogError
 from graphnav.log import TABLES, SensorLog
 from graphnav.readers import sections
 from graphnav.readers.folder import check_pairs
-from graphnav.readers.sections import LOG_FILE
+from graphnav.readers.sections import CACHE_FOLDER, LOG_FILE
 from graphnav.readers.tables import SUFFIXES, write_table
 
 _IMAGE_FOLDERS = ("left", "right")
@@ -82,6 +82,8 @@ def _is_of_images(path: Path) -> bool:
 
 
 def _is_log_file(path: Path) -> bool:
+    if path.name == CACHE_FOLDER:
+        return path.is_dir()
     return path.is_file() and (path.name == LOG_FILE or (path.stem in TABLES and path.suffix in SUFFIXES))
 
 
