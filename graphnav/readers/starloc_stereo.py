@@ -1,7 +1,7 @@
 """STAR-loc's stereo camera: centres of AprilTags in rectified pairs, as tracks whose number is the tag's.
 
 - *Camera on the IMU*: both are in one housing, and ``calib.json`` has the IMU's pose in the camera (`tf_cam_imu`, axes
-  forward, left, up), which agrees with the data; its `tf_cam_rig` does not. The housing hangs upside down on the rig.
+  forward, left, up), which agrees with the data. The housing hangs upside down on the rig; `tf_cam_rig` has it upright.
 - *Clock*: stamps are 1.48 s before those of ``imu.csv``: the poses in both tables agree at 1.56 and 1.58 s, and pixels
   are best by poses 80 and 94 ms earlier than that, which is how late an image is stamped. A calibration.
 - *Sigma of a pixel*: `SIGMA_PX`; rows of one tag in both images differ by 0.42 px rms (2-D loop) and 0.94 px (3-D
