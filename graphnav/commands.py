@@ -27,11 +27,8 @@ IMPORTERS = {
     "comma2k19": ("graphnav.readers.comma2k19", ("wheel_scale",)),
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
-<<<<<<< HEAD
-    "kitti-tracks": ("graphnav.readers.kitti_tracks", ()),
-=======
     "kitti-stereo": ("graphnav.readers.kitti_stereo", ()),
->>>>>>> tracks
+    "kitti-tracks": ("graphnav.readers.kitti_tracks", ()),
     "lego": ("graphnav.readers.lego", ()),
     "plaza": ("graphnav.readers.plaza", ()),
     "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg", "stereo")),

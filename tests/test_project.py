@@ -76,6 +76,7 @@ FLOORS = (
         "graphnav.smooth",
         "graphnav.outcome",
         "graphnav.scanned",
+        "graphnav.sighted",
         "graphnav.solution",
         "graphnav.filtered",
         "graphnav.leg_filtered",
