@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from strapdown import integrate
 
 from graphnav import cli
-from graphnav.errors import ConfigError, LogError
+from graphnav.errors import ConfigError
 from graphnav.log import SensorLog
 from graphnav.readers import read, write
 from graphnav.simulation import SCENARIOS, simulate, stereo_images
