@@ -56,7 +56,7 @@ FLOORS = (
         "graphnav.graph",
         "graphnav.camera",
         "graphnav.motions",
-        "graphnav.mounting",
+        "graphnav.camera_errors",
         "graphnav.tracks",
         "graphnav.chain_graph",
         "graphnav.chain_problem",
