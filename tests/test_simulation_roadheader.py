@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from strapdown import integrate
 
 from graphnav import cli
-from graphnav.errors import ConfigError, LogError
+from graphnav.errors import ConfigError
 from graphnav.log import SensorLog
 from graphnav.readers import read, write
 from graphnav.simulation import SCENARIOS, simulate, stereo_images
@@ -317,7 +317,7 @@ def test_the_command_line_writes_the_tracks(tmp_path: Path, capsys: pytest.Captu
 def test_the_command_line_writes_images_with_the_log_or_neither(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Images are there before the folder takes its name; a second run replaces a log with its images."""
+    """Images are there before the folder takes its name; a second run replaces a log with images if it is told to."""
     target = tmp_path / "L"
     line = ["simulate", "roadheader-stereo", "--seed", "2", "--rate", "1", "-o", str(target)]
 
@@ -335,16 +335,10 @@ def test_the_command_line_writes_images_with_the_log_or_neither(
     assert "No space left" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setattr(stereo_images, "render_into", some)
-    assert cli.main(line) == cli.main(line) == 0
+    assert cli.main(line) == 0
     assert (target / "left" / "000000.png").exists()
-    (target / "left" / "notes.txt").write_text("mine")
     assert cli.main(line) == 2
-    assert "holds left, which is no part of a log" in capsys.readouterr().err
-
-
-def test_a_folder_of_pictures_is_no_log(tmp_path: Path) -> None:
-    (tmp_path / "left").mkdir()
-    (tmp_path / "left" / "holiday.png").write_bytes(b"")
-    with pytest.raises(LogError, match="holds left, which is no part of a log"):
-        write(simulate_roadheader("short", SHORT, 1), tmp_path)
-    assert (tmp_path / "left" / "holiday.png").exists()
+    assert "holds left, which is no part of a log; choose another folder, or overwrite" in capsys.readouterr().err
+    (target / "left" / "000001.png").write_bytes(b"")
+    assert cli.main([*line, "--overwrite"]) == 0
+    assert [path.name for path in (target / "left").iterdir()] == ["000000.png"]
