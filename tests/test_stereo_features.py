@@ -9,7 +9,7 @@ pytest.importorskip("cv2")
 from drawn_pairs import SIZE, Wall, moved
 
 from graphnav.frontends.patch_alignment import HALF, aligned, patches, smoothed
-from graphnav.frontends.stereo_features import CELLS, Features, cell_of, detected, most_per_cell
+from graphnav.frontends.stereo_features import CELLS, Features, cell_of, detected, most_per_cell, spread_rows
 from graphnav.frontends.stereo_linking import free_rows
 from graphnav.frontends.stereo_matching import Window, matches, rectified_matches
 from graphnav.frontends.stereo_sides import LEAST_SIMILARITY, MOST_SHIFT_PX
@@ -49,14 +49,21 @@ def test_places_are_those_of_pixel_centres(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_features_spread(kind: str) -> None:
-    """A part of the image with strong contrast does not take all of them."""
-    image = Wall(2).seen((0, 0)).astype(float)
-    image[:, : SIZE[0] // 2] = 90 + (image[:, : SIZE[0] // 2] - 90) * 0.3
-    found = detected(np.round(image).astype(np.uint8), kind, 60)
-    assert len(found) <= 60
+def test_no_cell_holds_more_than_its_share(kind: str) -> None:
+    found = detected(Wall(2).seen((0, 0)), kind, 60)
+    assert 30 < len(found) <= 60
     assert np.bincount(cell_of(found.uv_px, SIZE), minlength=CELLS[0] * CELLS[1]).max() <= most_per_cell(60)
-    assert (found.uv_px[:, 0] < SIZE[0] / 2).mean() > 0.25
+    assert len(detected(Wall(2).seen((0, 0)), kind, 60, spread=False)) > len(found)
+
+
+def test_features_spread() -> None:
+    """A half of the image with strong features does not take all of them, as it would by strength alone."""
+    rng = np.random.default_rng(3)
+    uv = rng.uniform([0, 0], SIZE, (800, 2))
+    strong = uv[:, 0] > SIZE[0] / 2
+    kept = spread_rows(uv, rng.uniform(1, 2, len(uv)) + 5 * strong, SIZE, 60)
+    assert len(kept) == 60
+    assert strong[kept].sum() == 36  # one of each of the 48 cells, and 12 more that are all strong
 
 
 @pytest.mark.parametrize("kind", KINDS)
