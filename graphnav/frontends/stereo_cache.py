@@ -20,13 +20,13 @@ import numpy as np
 
 from graphnav.frontends._opencv import opencv
 from graphnav.frontends.image_pairs import PairFiles
+from graphnav.frontends.stereo_result import Tracked
 from graphnav.frontends.stereo_sides import Skipped
 from graphnav.log import SensorLog, StereoTracks
 from graphnav.readers.sections import CACHE_FOLDER, LOG_FILE
 
 if TYPE_CHECKING:
     from graphnav.config import StereoTracksConfig
-    from graphnav.frontends.stereo_tracks import Tracked
 
 #: Raised with every change of what comes out of the same images.
 VERSION = 1
@@ -64,8 +64,6 @@ def kept(path: Path) -> Tracked | None:
     """The tracks of a file; None if there is none, or it cannot be read."""
     import pyarrow as pa
     from pyarrow import parquet
-
-    from graphnav.frontends.stereo_tracks import Tracked
 
     try:
         table = parquet.read_table(path)
