@@ -11,7 +11,9 @@ from factors.increments import npt_int
 from factors.so3 import Array, to_quaternion, transpose
 from graphnav._memory import peak_bytes
 from graphnav._stages import Stages
-from graphnav.agreement import agreeing_ranges
+from graphnav.agreement import agreeing_camera, agreeing_ranges
+from graphnav.camera import Camera
+from graphnav.camera_outcome import left_out_counts
 from graphnav.chain_graph import (
     chain_graph,
     chain_values,
@@ -25,12 +27,13 @@ from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
-from graphnav.log import SensorLog
-from graphnav.problem import A, D, X
+from graphnav.problem import SIZES, A, D, X
 from graphnav.ranges import slots
 from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
+from graphnav.sighted import Sighted
 from graphnav.solvers import batch
 from graphnav.solvers.covariance import joint_marginals
+from graphnav.tracks import track_readings
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -41,25 +44,27 @@ if TYPE_CHECKING:
 #: What takes part in a graph without an IMU.
 METHODS = ("batch", "dead-reckoning")
 _NO_SPANS = np.zeros((0, 2))
-_DIMS = {"x": 6, "l": 4, "d": 8, "a": 4, "s": 1}
+_DIMS = {**{chr(letter): size for letter, size in SIZES.items()}, "s": 1}
 #: Tables and sections that only a graph with an IMU makes use of.
-_UNUSED = {"odometer": "table odometer", "face": "section [face]", "stereo_pairs": "table stereo"}
+_UNUSED = {"odometer": "table odometer", "face": "section [face]"}
 
 
-def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:
+def run_chain(sighted: Sighted, config: Config, method: str, stages: Stages) -> Run:
     """Smooth a log that has relative poses in place of an IMU.
 
     Raises
     ------
     LogError : bad input; ConfigError : a method that needs an IMU; SolveError : no convergence, or a singular problem.
     """
+    log = sighted.log
     if method not in METHODS:
         raise ConfigError(
             f"{method} needs an IMU, and log {log.name} has none: its relative poses serve {' and '.join(METHODS)}"
         )
     with stages.stage("frontend"):
         refuse_wrong_units(log, _NO_SPANS)
-        problem = pose_chain(log, config, run_frontend(replace(log, odometer=None), config, _NO_SPANS))
+        frontend = run_frontend(replace(log, odometer=None), config, _NO_SPANS, sighted.guide)
+        problem = pose_chain(log, config, frontend, sighted.notes)
     with stages.stage("assemble"):
         way = placed(problem, reckoned(problem))
     if method == "dead-reckoning":
@@ -71,14 +76,20 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
     config = problem.config
     with stages.stage("assemble"):
         readings, ranges = leg_readings(problem, way), chain_readings(problem)
-        graph = chain_graph(problem, readings, ranges)
-        values = chain_values(problem, way, readings, ranges)
+        tracks = track_readings(problem)
+        camera = None if tracks is None else Camera(None, tracks)
+        graph = chain_graph(problem, readings, ranges, camera)
+        values = chain_values(problem, way, readings, ranges, camera)
     rejected: dict[str, int] = {}
     with stages.stage("solve") as tick:
         if ranges is not None and config.uwb.loss != "none":
             values, fit = agreeing_ranges(graph, config.uwb, values)
             graph = replace(graph, ranges=ranges.family.only(fit))
             rejected = rejected_by_anchor(problem, ranges.only(~fit))
+        if camera is not None:
+            values, camera, left_out = agreeing_camera(graph, config, camera, values)
+            graph = graph.seen_by(camera)
+            rejected |= left_out_counts(left_out)
         result = batch.solve(
             graph,
             values,
@@ -169,9 +180,10 @@ def _diagnostics(
 
 
 def _warnings(problem: ChainProblem) -> list[str]:
-    """What the log holds that takes no part."""
+    """What the log holds that takes no part, and what the user should know of its camera."""
     log = problem.log
-    found = [
+    found = list(problem.notes)
+    found += [
         f"the {what} is not used without an IMU" for name, what in _UNUSED.items() if getattr(log, name) is not None
     ]
     given = (len(log.position) if log.position is not None else 0) + len(log.surveyed)

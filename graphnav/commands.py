@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,12 +28,13 @@ IMPORTERS = {
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
     "kitti-stereo": ("graphnav.readers.kitti_stereo", ()),
+    "kitti-tracks": ("graphnav.readers.kitti_tracks", ()),
     "lego": ("graphnav.readers.lego", ()),
     "plaza": ("graphnav.readers.plaza", ()),
-    "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg",)),
+    "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg", "stereo")),
 }
 #: Formats whose data come with the gtsam package.
-_WITH_GTSAM = ("kitti-gtsam", "plaza")
+_WITH_GTSAM = ("kitti-gtsam", "kitti-tracks", "plaza")
 
 
 def demo(arguments: argparse.Namespace) -> None:
@@ -79,16 +81,25 @@ def import_log(arguments: argparse.Namespace) -> None:
 
 def simulate(arguments: argparse.Namespace) -> None:
     """Simulate a scenario to a log folder."""
-    from graphnav.report.terminal import working
+    from graphnav.report.terminal import ProgressBar, working
     from graphnav.simulation import simulate as simulate_log
+    from graphnav.simulation.stereo_images import render_into
 
-    names = ("interval_m", "par", "hours", "sensors", "cycles", "scans", "draw", "site", "nlos_share", "nlos_max_m")
+    names = (
+        "interval_m", "par", "hours", "sensors", "cycles", "scans", "draw", "site", "nlos_share", "nlos_max_m",
+        "rate_hz", "images", "tracks", "outlier_share",
+    )  # fmt: skip
     given = {name: getattr(arguments, name) for name in names}
     options = {name: value for name, value in given.items() if value is not None}
     if "sensors" in options:
         options["sensors"] = tuple(name.strip() for name in options["sensors"].split(","))
     with working("simulating"):
-        _write(simulate_log(arguments.scenario, seed=arguments.seed, **options), arguments)
+        log = simulate_log(arguments.scenario, seed=arguments.seed, **options)
+    if log.stereo_pairs is None:
+        _write(log, arguments)
+        return
+    with ProgressBar() as progress:
+        _write(log, arguments, partial(render_into, arguments.scenario, arguments.seed, options, progress=progress))
 
 
 def smooth(arguments: argparse.Namespace) -> None:

@@ -13,8 +13,7 @@ from graphnav.errors import LogError
 from graphnav.frontends.cutting_cycles import ClosedPathPoint, Cycle, closed_path_points, find_cycles, mileage
 from graphnav.frontends.ranging_spans import RangingSpan, ranging_keyframes, ranging_spans
 from graphnav.frontends.rest import rest_spans
-from graphnav.frontends.views import view_times
-from graphnav.log import SensorLog
+from graphnav.log import RelativePose, SensorLog
 
 #: Measurements closer than this share a keyframe (at 1 m/s it is a millimetre).
 SAME_S = 1e-3
@@ -33,6 +32,7 @@ class Frontend:
     rest_s : (K, 2) spans at rest.
     fixes : (time, position (3,), sigma (3,)) of absolute positions and surveyed points.
     ranging : spans of UWB ranges.
+    guide : motions of the camera that lead to initial values and are no measurements of their own.
     """
 
     keyframe_s: Array
@@ -41,6 +41,7 @@ class Frontend:
     rest_s: Array
     fixes: tuple[tuple[float, Array, Array], ...]
     ranging: tuple[RangingSpan, ...] = ()
+    guide: RelativePose | None = None
 
     def index(self, t_s: float) -> int:
         """The keyframe nearest to a time."""
@@ -49,7 +50,9 @@ class Frontend:
         return right - 1 if left_nearer else right
 
 
-def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) -> Frontend:
+def run_frontend(
+    log: SensorLog, config: Config, rest_s: Array | None = None, guide: RelativePose | None = None
+) -> Frontend:
     """Find cycles, closed-path points, rest and fixes, and place the keyframes.
 
     Policy: a keyframe at the start and end of the IMU record, at the exact time of every measurement that needs one
@@ -59,8 +62,9 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
     Parameters
     ----------
     rest_s : (K, 2) spans at rest where they are known already; None finds them.
+    guide : motions of the camera between frames that become keyframes.
     """
-    start, end = _record(log)
+    start, end = _record(log, guide)
     cycles = find_cycles(log)
     use_path = config.closed_path.form != "off" and log.odometer is not None
     closed = closed_path_points(log, cycles, config.closed_path.interval_m) if use_path else ()
@@ -73,23 +77,24 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
         wanted += np.unique(log.lidar_points.t_s).tolist()
     if log.imu is not None and log.relative_pose is not None and config.relative_pose.use:
         wanted += log.relative_pose.t_from_s.tolist() + log.relative_pose.t_to_s.tolist()
-    if log.stereo_tracks is not None and config.stereo.form == "tight":
-        wanted += view_times(log.stereo_tracks, config.stereo.moved_px, config.stereo.shared).tolist()
+    if guide is not None:
+        wanted += guide.t_from_s.tolist() + guide.t_to_s.tolist()
     ranging = () if log.uwb is None or not config.uwb.use else ranging_spans(log.uwb, start, end)
     if log.uwb is not None:
         wanted += ranging_keyframes(log.uwb, ranging, config.keyframes.interval_s).tolist()
     times = place_keyframes(start, end, np.array(wanted, float), config, log)
     found = rest_spans(log) if rest_s is None and config.rest.use else rest_s
     rest = found if found is not None and config.rest.use else np.zeros((0, 2))
-    return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes, ranging)
+    return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes, ranging, guide)
 
 
-def _record(log: SensorLog) -> tuple[float, float]:
-    """Start and end of what carries the state: the IMU, or relative poses where there is none."""
+def _record(log: SensorLog, guide: RelativePose | None) -> tuple[float, float]:
+    """Start and end of what carries the state: the IMU, or the camera's motions where there is none."""
     if log.imu is not None:
         return log.imu.start_s, float(log.imu.t_s[-1])
-    if log.relative_pose is not None:
-        return float(log.relative_pose.t_from_s[0]), float(log.relative_pose.t_to_s[-1])
+    poses = guide if log.relative_pose is None else log.relative_pose
+    if poses is not None:
+        return float(poses.t_from_s[0]), float(poses.t_to_s[-1])
     fix = "smoothing needs an IMU, or relative poses that follow each other"
     raise LogError("no imu table and no relative_pose table", where=f"log {log.name}", fix=fix)
 

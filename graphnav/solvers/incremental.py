@@ -15,12 +15,12 @@ import numpy as np
 from factors.increments import npt_int
 from factors.inertial import predict
 from factors.so3 import Array
+from graphnav.camera import uses_camera
 from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
 from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
 from graphnav.legs import uses_legs
-from graphnav.motions import uses_motions
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.ranges import slots
@@ -89,7 +89,7 @@ def parameters(config: Isam2Config, slots: int = 0) -> gtsam.ISAM2Params:
         ("l", [config.threshold_position_m] * 2 + [config.threshold_lean] * 2),
         ("d", [config.threshold_scale, config.threshold_position_m, *[config.threshold_mounting_rad] * 6]),
         ("a", [config.threshold_position_m] * 4),
-        ("e", [config.threshold_mounting_rad] * 3 + [config.threshold_position_m] * 3),
+        ("e", [config.threshold_mounting_rad] * 3 + [config.threshold_position_m] * 4),
         ("m", [_MARKOV] * slots),
     ):
         thresholds.insert((letter, np.array(values)))
@@ -109,7 +109,7 @@ class _Session:
         self.theta = self.isam.getLinearizationPoint()
         self.rotation, self.pos, self.vel = start.rotation_nb[0], start.pos_n[0], start.vel_n[0]
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self.anew = bool(creep_cycles(problem)) or bool(slots(problem)) or uses_motions(problem)
+        self.anew = bool(creep_cycles(problem)) or bool(slots(problem)) or uses_camera(problem)
         self.slots = slots(problem)
         self.predicted: list[gtsam.NonlinearFactor] = []
         self.relinearized, self.reeliminated = 0, list[int]()
@@ -175,7 +175,7 @@ class _Session:
             if letter in "kame" and not (self.theta.exists(key) or self.values.exists(key)):
                 face = self.problem.log.face
                 creep = np.array([face.creep_m if face else 0.0])
-                zero = {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots), "e": np.zeros(6)}
+                zero = {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots), "e": np.zeros(7)}
                 self.values.insert(key, zero[letter])
         self.pending.add(factor)
 
