@@ -44,7 +44,7 @@ def cache_file(log: SensorLog, files: Sequence[PairFiles], settings: StereoTrack
     figures = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, camera.baseline_m]
     known: dict[str, Any] = {
         "versions": [VERSION, opencv().__version__],
-        "settings": settings.model_dump(),
+        "settings": settings.model_dump(exclude={"bias_px"}),  # a figure about the tracks, not for them
         "camera": [float(value).hex() for value in figures],
         "pairs": [[pair.t_s.hex(), _state(pair.left), _state(pair.right)] for pair in files],
     }
