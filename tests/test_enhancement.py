@@ -99,8 +99,8 @@ def test_scattering_is_below_every_grey_level_and_near_what_was_added() -> None:
 
 
 def test_dedusted_is_equation_8() -> None:
-    """Written out with other filters, where neither floor nor ceiling nor quantile acts."""
-    settings = EnhancementSettings(contrast_quantile=1.0, most_gain=100.0, floor_grey=0.5)
+    """Written out with other filters, without noise, ceiling or quantile."""
+    settings = EnhancementSettings(contrast_quantile=1.0, most_gain=100.0, noise_grey=1e-3, lit_grey=1e-3)
     raw = seen(60 + 60 * clear_share() * texture())
     levels, window = raw.astype(float), settings.window_px
     mean = scipy.ndimage.uniform_filter(levels, window, mode="reflect")
@@ -110,15 +110,22 @@ def test_dedusted_is_equation_8() -> None:
     np.testing.assert_allclose(enhancement.dedusted(raw, settings), np.clip(expected, 0, 255), atol=0.6)
 
 
-def test_gain_has_a_ceiling_and_never_darkens() -> None:
+def test_gain_counts_noise_out_and_has_a_ceiling() -> None:
+    """An even patch with one brighter pixel in each window, beside a texture: sigma is known."""
     raw = np.full(SHAPE, 20, np.uint8)
-    raw[:, :200] = seen(200 * texture())[:, :200]
-    raw[100, 350] = 23
-    for ceiling in (4.0, 8.0):
-        found = enhancement.dedusted(raw, replace(DEFAULTS, most_gain=ceiling))
-        assert int(found[100, 350]) - int(found[100, 340]) == pytest.approx(3 * ceiling, abs=1)
-    faint = seen(20 + 2 * texture())
-    np.testing.assert_allclose(enhancement.dedusted(faint), faint - enhancement.scattering(faint), atol=0.6)
+    raw[7::15, 7::15] = 140
+    sigma = 120 * np.sqrt(1 / 225 - 1 / 225**2)  # 7.98
+    for noise, ceiling in ((1e-3, 100.0), (4.0, 100.0), (12.0, 100.0), (1e-3, 1.5)):
+        settings = replace(DEFAULTS, noise_grey=noise, most_gain=ceiling, lit_grey=14.0)
+        gain = min(14.0 * sigma / (sigma**2 + noise**2), ceiling)
+        found = enhancement.dedusted(raw, settings)
+        assert found[112, 202] == pytest.approx(120 * max(gain, 1.0), abs=1)
+
+
+def test_a_frame_dark_all_over_is_raised_to_a_lit_contrast() -> None:
+    faint = seen(10 + 40 * texture())
+    least = replace(DEFAULTS, lit_grey=1.0)
+    assert local_contrast(enhancement.dedusted(faint)) > 3 * local_contrast(enhancement.dedusted(faint, least))
 
 
 # Equation 9 -------------------------------------------------------------------------------------------------
@@ -225,7 +232,7 @@ def test_resizing_averages() -> None:
     "wrong",
     [
         {"window_px": 4}, {"window_px": 1}, {"dark_grey": 0.0}, {"surround_px": -1.0}, {"most_gain": 0.5},
-        {"contrast_quantile": 1.5}, {"floor_grey": float("nan")}, {"clahe_tiles": 0},
+        {"contrast_quantile": 1.5}, {"noise_grey": float("nan")}, {"clahe_tiles": 0},
     ],
 )  # fmt: skip
 def test_settings_out_of_range(wrong: dict[str, float]) -> None:

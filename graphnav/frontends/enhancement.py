@@ -13,9 +13,12 @@ that they can be used, each with its setting in `EnhancementSettings`:
 3. Equation 6 weighs by the *relative* contrast sigma / mu, equation 8 by sigma alone; they cannot both come from
    equation 4, and `omega` is there for the first while `dedusted` follows equation 8. Its ``P_min`` is read as
    ``S_min``: equation 7 has just set ``P_min`` to zero.
-4. Equation 8 divides by sigma, which in an even dark patch is that of the sensor's noise. sigma has the floor
-   `floor_grey`, and the gain ``max(sigma) / sigma`` the ceiling `most_gain`.
-5. max(sigma), one window of the image, jumps when a lamp enters it: the `contrast_quantile` of sigma stands for it.
+4. Equation 8 divides by sigma, which in an even dark patch is that of the sensor's noise. The gain
+   ``max(sigma) / sigma`` is multiplied by the share of sigma^2 that is not noise, ``sigma^2 / (sigma^2 +
+   noise_grey^2)``, as Wiener's filter has it, and held between 1 and `most_gain`.
+5. max(sigma), one window of the image, jumps when a lamp enters it: the `contrast_quantile` of sigma stands for it. In
+   a frame that is dark all over it is small and equation 8 raises nothing, though P is meant to be the scene "under
+   sufficient and uniform illumination": it is taken to be at least `lit_grey`.
 6. S_min of a square window has square edges that are no edges of the scene. The erosion is averaged over the window,
    which keeps it at or below S.
 7. P is cut at 255.
@@ -50,9 +53,10 @@ class EnhancementSettings:
         but that noise has no more features than before (tested); the default is for up to 2 grey levels of it.
     log_gain : grey levels of the reflection for each unit of log R; 64 shows R from exp(-2) to exp(2).
     window_px : side of the window of mu, sigma and the dark channel, equations 5 to 8; odd.
-    floor_grey : least sigma in equation 8, grey levels; a few times the sensor's noise.
-    most_gain : greatest ``max(sigma) / sigma`` in equation 8.
+    noise_grey : sigma at which half of a window's variance is taken for noise, grey levels; twice the read noise.
+    most_gain : greatest gain in equation 8.
     contrast_quantile : share of the windows whose sigma is below what stands for max(sigma).
+    lit_grey : least max(sigma) in equation 8, grey levels: the contrast of a texture that is well lit.
     clahe_clip, clahe_tiles : clip limit, and tiles along each side, of the common alternative.
     """
 
@@ -60,15 +64,16 @@ class EnhancementSettings:
     dark_grey: float = 16.0
     log_gain: float = 64.0
     window_px: int = 15
-    floor_grey: float = 4.0
+    noise_grey: float = 4.0
     most_gain: float = 8.0
     contrast_quantile: float = 0.99
+    lit_grey: float = 60.0
     clahe_clip: float = 3.0
     clahe_tiles: int = 8
 
     def __post_init__(self) -> None:
         """Refuse what no equation can be computed with."""
-        for name in ("surround_px", "dark_grey", "log_gain", "floor_grey", "clahe_clip"):
+        for name in ("surround_px", "dark_grey", "log_gain", "noise_grey", "lit_grey", "clahe_clip"):
             self._require(name, getattr(self, name) > 0, "more than 0")
         self._require("window_px", self.window_px >= 3 and self.window_px % 2 == 1, "an odd number from 3 on")
         self._require("most_gain", self.most_gain >= 1, "1 or more")
@@ -116,7 +121,7 @@ def reflection(image: Image, settings: EnhancementSettings = DEFAULTS) -> Image:
     """
     cv2 = opencv()
     log_s = cv2.LUT(require_image(image, "reflection"), _log_table(settings.dark_grey, settings.log_gain))
-    return _to_grey(cv2.subtract(log_s, _log_illumination(image, settings)))
+    return _to_grey(cv2.subtract(log_s, _log_illumination(image, settings), dst=log_s))
 
 
 def _log_illumination(image: Image, settings: EnhancementSettings) -> Any:
@@ -144,14 +149,19 @@ def dedusted(image: Image, settings: EnhancementSettings = DEFAULTS) -> Image:
     Parameters
     ----------
     image : S.
-    settings : `window_px`, `floor_grey`, `most_gain` and `contrast_quantile` count.
+    settings : all of equation 8's count, from `window_px` to `lit_grey`.
     """
     cv2 = opencv()
-    _, sigma = _window_moments(require_image(image, "dedusted"), settings.window_px)
-    most = max(_largest(sigma, settings.contrast_quantile), settings.floor_grey)
-    gain = cv2.divide(most, cv2.max(sigma, max(settings.floor_grey, most / settings.most_gain)))
-    above = cv2.subtract(image.astype(np.float32), scattering(image, settings))
-    return _to_grey(cv2.multiply(above, cv2.max(gain, 1.0)))
+    _, variance = _window_moments(require_image(image, "dedusted"), settings.window_px)
+    sigma = cv2.sqrt(variance)
+    most = max(_largest(sigma, settings.contrast_quantile), settings.lit_grey)
+    # in place: memory given back to the system and fetched again costs more than the arithmetic
+    cv2.add(variance, settings.noise_grey**2, dst=variance)
+    gain = cv2.divide(sigma, variance, dst=sigma, scale=most)
+    cv2.min(cv2.max(gain, 1.0, dst=gain), settings.most_gain, dst=gain)
+    least = scattering(image, settings)
+    above = cv2.subtract(image, least, dst=least, dtype=cv2.CV_32F)
+    return _to_grey(cv2.multiply(above, gain, dst=above))
 
 
 def omega(image: Image, settings: EnhancementSettings = DEFAULTS) -> NDArray[np.float32]:
@@ -159,8 +169,9 @@ def omega(image: Image, settings: EnhancementSettings = DEFAULTS) -> NDArray[np.
 
     Equation 4 allows no more than 1, which equation 6 gives where a window is dark and rich in contrast: it is cut.
     """
-    mu, sigma = _window_moments(require_image(image, "omega"), settings.window_px)
-    most = max(float(sigma.max()), settings.floor_grey)
+    mu, variance = _window_moments(require_image(image, "omega"), settings.window_px)
+    sigma = np.sqrt(variance)
+    most = max(float(sigma.max()), settings.noise_grey)
     ratio = sigma * float(mu.max()) / (np.maximum(mu, 1.0) * most)
     found: NDArray[np.float32] = np.minimum(ratio, 1.0).astype(np.float32)
     return found
@@ -176,12 +187,13 @@ def scattering(image: Image, settings: EnhancementSettings = DEFAULTS) -> NDArra
 
 
 def _window_moments(image: Image, window_px: int) -> tuple[Any, Any]:
-    """Of equation 5: mu and sigma, float32 ``(H, W)`` each."""
+    """Of equation 5: mu and sigma^2, float32 ``(H, W)`` each."""
     cv2 = opencv()
     window = (window_px, window_px)
     mu = cv2.boxFilter(image, cv2.CV_32F, window, borderType=cv2.BORDER_REFLECT)
     square = cv2.sqrBoxFilter(image, cv2.CV_32F, window, borderType=cv2.BORDER_REFLECT)
-    return mu, cv2.sqrt(cv2.max(cv2.subtract(square, cv2.multiply(mu, mu)), 0.0))
+    cv2.subtract(square, cv2.multiply(mu, mu), dst=square)
+    return mu, cv2.max(square, 0.0, dst=square)
 
 
 def _largest(sigma: Any, quantile: float) -> float:
