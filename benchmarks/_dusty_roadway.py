@@ -8,6 +8,7 @@ behind it and shines itself, equation 4 with ``omega = exp(-d / visibility)``. I
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import scipy.ndimage
@@ -21,9 +22,9 @@ from graphnav.frontends.image_quality import Matches
 FOCAL_PX = SIZE[0] / 2 / np.tan(np.radians(87 / 2))
 BASELINE_M = 0.095
 _WIDTH_M, _HEIGHT_M, _EYE_M, _END_M = 4.0, 5.5, 1.8, 30.0
-_TEXEL_M, _ATTENUATION_M = 0.01, 15.0
+_TEXEL_M, _ATTENUATION_M = 0.02, 15.0
 #: Scales of the rock's texture, texels; number of the roadway's end among the faces.
-_SCALES, _END = (2.0, 6.0, 20.0), 4
+_SCALES, _END = (1.0, 3.0, 10.0), 4
 #: Grey levels: of white at 1 m in the headlight's axis, of ambient light at 1 m, and of dust as bright as it gets.
 _HEADLIGHT, _AMBIENT, _DUST = 3000.0, 60.0, 110.0
 
@@ -71,14 +72,20 @@ def _reflectance(place: tuple[Array, Array], face: Array, depth: Array, seed: in
     found = np.zeros(face.shape)
     pixel = depth / FOCAL_PX / _TEXEL_M * np.where(face < _END, np.maximum(depth / 3, 1.0), 1.0)
     for number in np.unique(face):
-        generator, on = np.random.default_rng([seed, number]), face == number
-        size = (1024, 4096) if number < _END else (1024, 1024)
-        spots = [place[1][on] / _TEXEL_M % size[0], place[0][on] / _TEXEL_M % size[1]]
-        for scale in _SCALES:
-            rock = scipy.ndimage.gaussian_filter(generator.standard_normal(size), scale, mode="wrap")
-            seen = scipy.ndimage.map_coordinates(rock / rock.std(), spots, order=1, mode="grid-wrap")
+        on = face == number
+        spots = [place[1][on] / _TEXEL_M, place[0][on] / _TEXEL_M]
+        for scale, rock in zip(_SCALES, _rock(seed, int(number)), strict=True):
+            seen = scipy.ndimage.map_coordinates(rock, spots, order=1, mode="grid-wrap")
             found[on] += seen * np.exp(-0.5 * (pixel[on] / scale / 2) ** 2)
     return np.clip(0.3 * np.exp(0.45 * found), 0.02, 1.0)
+
+
+@lru_cache(maxsize=16)
+def _rock(seed: int, face: int) -> tuple[Array, ...]:
+    """Noise of unit deviation at each scale, 10 m by 41 m."""
+    generator = np.random.default_rng([seed, face])
+    made = [scipy.ndimage.gaussian_filter(generator.standard_normal((512, 2048)), s, mode="wrap") for s in _SCALES]
+    return tuple(rock / rock.std() for rock in made)
 
 
 def frames(noise: Noise, seed: int, step_m: float = 0.15) -> tuple[Image, Image, View]:

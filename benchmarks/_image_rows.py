@@ -11,14 +11,17 @@ from benchmarks._report import Row, Target, row
 
 #: The paper's ratio of matched features, 180 by 150; and the time a frame may take.
 RATIO, FRAME_MS = Target(low=1.2, of_ratio=True), Target(high=4.0)
+#: Variants whose quality is measured and that are compared in full.
+SHOWN = ("raw", "CLAHE", "enhanced")
 #: The names of `Quality`, with units.
-MEASURES = {"rms_contrast": "grey", "local_contrast": "grey", "entropy": "bit", "niqe": "1"}
+MEASURES = {"mean_grey": "grey", "rms_contrast": "grey", "local_contrast": "grey", "entropy": "bit", "niqe": "1"}
 
 
 @dataclass(frozen=True)
 class Quality:
     """Measures of one image that need no second; NIQE is None without its parameters."""
 
+    mean_grey: float
     rms_contrast: float
     local_contrast: float
     entropy: float
@@ -130,7 +133,7 @@ def _match_rows(results: Results, group: str, noise: str, kind: str) -> list[Row
         count = len(results.of(group, noise))
         lost = float(results.lost(group, noise, kind, "enhanced", base))
         found.append(row(f"{name}: images of {count} where {base} has more true matches", lost, "1"))
-    for variant in ("raw", "CLAHE", "enhanced"):
+    for variant in SHOWN:
         found.append(row(f"{name}: wrong among those kept, {variant}", results.wrong(group, noise, variant, kind), "1"))
         found.append(row(f"{name}: share of the image with a true match, {variant}", mean(variant, "spread"), "1"))
         depth = results.depth(group, noise, variant, kind)
@@ -146,5 +149,5 @@ def _quality_rows(results: Results, group: str) -> list[Row]:
         row(f"{group}: {named(measure)}, {variant}", results.quality(group, variant, measure), unit,
             peer=results.quality(group, "raw", measure))
         for measure, unit in MEASURES.items()
-        for variant in ("raw", "CLAHE", "enhanced")
+        for variant in SHOWN
     ]  # fmt: skip

@@ -15,13 +15,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks._dark_images import NOISES, SETS, VARIANTS, pairs, photographs, scores
-from benchmarks._image_rows import Judged, Quality, Results, all_rows
+from benchmarks._image_rows import SHOWN, Judged, Quality, Results, all_rows
 from benchmarks._report import Before, parser, publish, say
 from graphnav.frontends._opencv import Image
 
 ROADWAY, SCENES = "drawn roadway", 4
-#: Variants that are timed and whose quality is measured, NIQE with them.
-_SHOWN = ("raw", "CLAHE", "enhanced")
 
 
 def measure(seeds: int, groups: tuple[str, ...] = SETS, scenes: int = SCENES) -> tuple[Results, list[str]]:
@@ -67,9 +65,11 @@ def qualities(image: Image) -> dict[str, Quality]:
     """Of one image: variant -> measures."""
     from graphnav.frontends import image_quality as quality
 
-    made = {name: VARIANTS[name](image) for name in _SHOWN}
+    made = {name: VARIANTS[name](image) for name in SHOWN}
     return {
-        name: Quality(quality.rms_contrast(one), quality.local_contrast(one), quality.entropy(one), _niqe(one))
+        name: Quality(
+            float(one.mean()), quality.rms_contrast(one), quality.local_contrast(one), quality.entropy(one), _niqe(one)
+        )
         for name, one in made.items()
     }
 
@@ -95,7 +95,7 @@ def timed(images: list[Image]) -> dict[str, float]:
         from benchmarks._dusty_roadway import frames
 
         small = [frames(NOISES["usual noise"], seed)[0] for seed in range(4)]
-    found = {name: statistics.median(_least_ms(VARIANTS[name], image) for image in small) for name in _SHOWN[1:]}
+    found = {name: statistics.median(_least_ms(VARIANTS[name], image) for image in small) for name in SHOWN[1:]}
     found["resizing"] = statistics.median(_least_ms(resized, image) for image in images) if images else 0.0
     return found
 

@@ -48,7 +48,7 @@ def draw_photographs(folder: Path) -> None:
 
 def parts(images: list[tuple[str, Image]]) -> Any:
     """As the paper's figures 6 and 7: one row an image, one column a variant."""
-    figure, axes = _grid(len(images), len(PARTS), (11.0, 1.5 * len(images) + 0.3))
+    figure, axes = _grid(len(images), len(PARTS), (11.0, 1.25 * len(images) + 0.2))
     for (name, image), line in zip(images, axes, strict=True):
         for variant, at in zip(PARTS, line, strict=True):
             at.imshow(VARIANTS[variant](image), cmap="gray", vmin=0, vmax=255)

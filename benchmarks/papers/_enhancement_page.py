@@ -6,14 +6,13 @@ import os
 from pathlib import Path
 
 from benchmarks._dark_images import KINDS, NOISES, VARIANTS
-from benchmarks._image_rows import MEASURES, Results
+from benchmarks._image_rows import MEASURES, SHOWN, Results
 from benchmarks._report import Before
 from benchmarks.papers import _enhancement_text as text
 from benchmarks.papers._enhancement_figures import draw
 from benchmarks.papers._page import filled, number, table
 
-_SHOWN = ("raw", "CLAHE", "enhanced")
-#: What the paper's text tells of its own method: NIQE over all its sets, and NIQMC of two.
+#: What the paper's text tells of its own method over all its sets.
 _PAPER_NIQE = "3.47 to 3.73"
 
 
@@ -60,19 +59,21 @@ def spread(results: Results) -> str:
     rows = []
     for group, noise in results.groups():
         for kind in KINDS:
-            wrong = [f"{results.wrong(group, noise, v, kind):.1%}" for v in _SHOWN]
-            cells = [f"{results.mean(group, noise, v, kind, 'spread'):.2f}" for v in _SHOWN]
-            depth = [results.depth(group, noise, v, kind) for v in _SHOWN]
+            wrong = [f"{results.wrong(group, noise, v, kind):.1%}" for v in (*SHOWN, "raw, faint")]
+            cells = [f"{results.mean(group, noise, v, kind, 'spread'):.2f}" for v in (*SHOWN, "raw, faint")]
+            depth = [results.depth(group, noise, v, kind) for v in (*SHOWN, "raw, faint")]
             depths = ["-" if value is None else f"{value:.2f}" for value in depth]
             rows.append([f"{group}, {noise}, {kind.upper()}", *(" / ".join(c) for c in (wrong, cells, depths))])
-    return table(["raw / CLAHE / enhanced", "wrong", "share of 60 cells", "share of 8 steps of depth"], rows)
+    return table(
+        ["raw / CLAHE / enhanced / raw, faint", "wrong", "share of 60 cells", "share of 8 steps of depth"], rows
+    )
 
 
 def quality(results: Results) -> str:
     """Means over a set; the paper's NIQE beside ours."""
     rows = []
     for group in dict.fromkeys(group for group, _ in results.groups()):
-        for variant in _SHOWN:
+        for variant in SHOWN:
             values = [number(results.quality(group, variant, measure)) for measure in MEASURES]
             paper = f"*{_PAPER_NIQE}*" if variant == "enhanced" and group in ("DICM", "LIME") else "-"
             rows.append([f"{group}, {variant}", *values, paper])
