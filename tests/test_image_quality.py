@@ -40,7 +40,7 @@ def test_matches_of_a_known_warp_are_true(kind: Kind) -> None:
     found = matched(image, warped(image, warp), kind)
     assert found.motion == "homography"
     assert found.count > 100
-    assert found.true_to(warp)[found.kept].mean() > 0.99
+    assert found.true_to(warp)[found.kept].mean() > 0.97  # an upper octave of ORB is known to four pixels only
     assert found.true_to(turn(2.0, (15.0, -3.0))).mean() < 0.02  # of another warp they are not
 
 
