@@ -11,14 +11,15 @@ import pytest
 from dusty_scenes import headlight, seen, texture
 
 from benchmarks import _dark_images as dark
-from benchmarks import _dusty_roadway as roadway
 from benchmarks import enhancement as benchmark
 from benchmarks._dark_images import NOISES, Noise, pairs
 from benchmarks._image_rows import Judged, Quality, Results, all_rows
+from benchmarks._rendered_roadway import scenes
 from benchmarks._report import Before
 from benchmarks.papers import _enhancement_text as text
 from benchmarks.papers._enhancement_page import write
 from graphnav.frontends._opencv import Image
+from graphnav.frontends.enhancement import clahe
 from graphnav.frontends.image_quality import matched
 
 QUIET = Noise(0.3, 0.0)
@@ -64,19 +65,14 @@ def test_noise_has_the_variance_that_is_stated() -> None:
         assert frame.var() == pytest.approx(9.0 + 0.2 * level + 1 / 12, rel=0.02)  # 200,000 pixels: 1 sigma is 0.3 %
 
 
-def test_the_step_of_the_roadway_is_known() -> None:
-    first, second, view = roadway.frames(QUIET, 0)
-    found = matched(first, second)
-    assert found.count > 50
-    assert roadway.confirmed(found, view)[found.kept].mean() > 0.95
-    assert roadway.confirmed(found, dataclasses.replace(view, depth_m=0.6 * view.depth_m))[found.kept].mean() < 0.6
-
-
-def test_omega_share_of_the_roadway_falls_with_depth() -> None:
-    view = roadway.view(0.0)
-    assert view.depth_m.max() == pytest.approx(30.0) and view.depth_m.min() > 1.0
-    far, near = view.light[view.depth_m > 20], view.light[view.depth_m < 4]
-    assert far.std() / far.mean() < 0.5 * near.std() / near.mean()
+def test_the_motion_of_the_rendered_roadway_is_known() -> None:
+    """Turned, shifted and of the right depth; with another depth or none of the motion it is not."""
+    (scene,) = scenes(1)
+    found = matched(clahe(scene.first), clahe(scene.second), "sift-faint")
+    assert found.count > 100
+    assert scene.confirmed(found)[found.kept].mean() > 0.9
+    for wrong in ({"depth_m": 0.4 * scene.depth_m}, {"turn": scene.turn.T}, {"shift_m": -scene.shift_m}):
+        assert dataclasses.replace(scene, **wrong).confirmed(found)[found.kept].mean() < 0.8
 
 
 # Rows and page ----------------------------------------------------------------------------------------------
@@ -92,7 +88,7 @@ def test_rows_are_the_means_of_what_was_measured(measured: tuple[Results, list[s
     assert kept.target == ">= 1.2 x peer" and kept.met == (kept.value >= 1.2 * kept.peer)
     assert rows["milliseconds a frame, enhanced"].target == "<= 4 ms"
     assert rows["LIME, orb: matched features, enhanced"].met is False  # not at hand
-    assert rows["drawn roadway, usual noise, orb: share of the depths with a true match, raw"].value is not None
+    assert rows["rendered roadway, usual noise, orb: share of the depths with a true match, raw"].value is not None
 
 
 def test_true_matches_are_among_those_kept(measured: tuple[Results, list[str]]) -> None:

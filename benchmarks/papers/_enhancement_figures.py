@@ -1,4 +1,4 @@
-"""The pictures of the enhancement's page: drawn roadways with their parts, and matches photograph by photograph."""
+"""The pictures of the enhancement's page: the rendered roadway with its parts, and matches photograph by photograph."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks._dark_images import KINDS, NOISES, SETS, VARIANTS, photographs
-from benchmarks._dusty_roadway import frames
 from benchmarks._image_rows import Results
+from benchmarks._rendered_roadway import scenes
 from benchmarks.papers._figures import _COLOURS, _STYLE, _grid, _save
 from graphnav.frontends._opencv import Image
 
@@ -24,9 +24,9 @@ def draw(results: Results, folder: Path) -> dict[str, Path]:
     from matplotlib import rc_context
 
     folder.mkdir(parents=True, exist_ok=True)
-    scenes = [(f"scene {seed}", frames(NOISES[_USUAL], seed)[0]) for seed in (0, 1)]
+    rendered = [(f"scene {number}", scene.first) for number, scene in enumerate(scenes(3))]
     with rc_context(_STYLE):
-        made = {"roadway": _save(parts(scenes), folder / "roadway.png")}
+        made = {"roadway": _save(parts(rendered), folder / "roadway.png")}
         if any(results.of(group) for group in SETS):
             made["matches"] = _save(matches(results), folder / "matches.png")
     return made

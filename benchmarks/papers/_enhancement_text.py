@@ -60,7 +60,7 @@ EQUATIONS = """
   picture for the eye.
 
 No setting was chosen by the number of matches on the photographs. They were looked at, though, and `lit_grey` and the
-count of noise came in when the drawn roadway, dark all over, hardly gained.
+count of noise came in when a roadway drawn for trial, dark all over, hardly gained.
 """
 
 
@@ -76,9 +76,9 @@ MATCHES = """
 The photographs of DICM and LIME, as they are. They are no mine and no motion: each is seen twice under small random
 homographies (2 deg, 3 %, 8 pixels), both frames with shot and read noise of their own. *True* are matches that RANSAC
 keeps and that the known motion confirms within 2 pixels. SIFT and ORB as OpenCV ships them, Lowe's ratio 0.8,
-cross-check, at most 2,000 features. The *drawn roadway* is a scene of known walls, a headlight and dust, seen twice
-with a step of 0.15 m forward. *Raw, faint* is the raw image seen by a detector with a quarter of its threshold of
-contrast: what an enhancement must beat to be worth more than a setting.
+cross-check, at most 2,000 features. The *rendered roadway* is that of `roadheader-stereo` with its lamps, dust and
+noise, seen by the left camera twice a second apart along the drive. *Raw, faint* is the raw image seen by a detector
+with a quarter of its threshold of contrast: what an enhancement must beat to be worth more than a setting.
 """
 QUALITY = """
 ## Contrast, entropy, NIQE: tables like the paper's 1 and 2
@@ -92,7 +92,7 @@ and scipy. Ours (`graphnav/frontends/niqe.py`) gives the values that scikit-vide
 compare.
 """
 CAPTIONS = {
-    "roadway": "Two drawn roadways: raw, CLAHE, reflection R, dust removed P, and their fusion",
+    "roadway": "The rendered roadway at three places: raw, CLAHE, reflection R, dust removed P, and their fusion",
     "matches": "True matches of each photograph enhanced and by CLAHE, over those of it raw; SIFT and ORB",
 }
 
@@ -137,8 +137,7 @@ def _loses(results: Results) -> str:
     return (
         f"- It is no gain always: {' and '.join(texts)} cases (image, noise and detector). The photographs on which ORB"
         f" has more true matches raw have a mean grey level of {known[0]} (median), the others {known[1]}: where light"
-        " is enough there is nothing to raise. On the drawn roadway, dark all over and smooth in its light, CLAHE is"
-        " the better one: it stretches every tile to the full range, whatever the contrast elsewhere."
+        " is enough there is nothing to raise."
     )
 
 
