@@ -62,6 +62,8 @@ def parts(images: list[tuple[str, Image]]) -> Any:
 
 def matches(results: Results) -> Any:
     """What the paper's figure 8 shows, as pairs: true matches of a photograph enhanced, over those of it raw."""
+    from matplotlib.ticker import NullFormatter, ScalarFormatter
+
     figure, axes = _grid(1, 2, (8.5, 3.6))
     for kind, at in zip(KINDS, axes[0], strict=True):
         found = [one for group in SETS for one in results.of(group, _USUAL)]
@@ -73,6 +75,9 @@ def matches(results: Results) -> Any:
         at.loglog(ends, ends, color="black", lw=0.8, label="as raw")
         at.loglog(ends, 1.2 * ends, color="black", lw=0.8, ls=":", label="1.2 times")
         at.set_title(kind.upper(), loc="left")
+        for axis in (at.xaxis, at.yaxis):
+            axis.set_major_formatter(ScalarFormatter())
+            axis.set_minor_formatter(NullFormatter())
         at.set_xlabel("true matches, raw")
     axes[0, 0].set_ylabel("true matches")
     axes[0, 1].legend(loc="lower right")

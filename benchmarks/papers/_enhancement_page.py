@@ -12,6 +12,8 @@ from benchmarks.papers import _enhancement_text as text
 from benchmarks.papers._enhancement_figures import draw
 from benchmarks.papers._page import filled, number, table
 
+#: Of `MEASURES`, in their order.
+_HEADS = ("mean grey level", "rms contrast, levels", "local contrast, levels", "entropy, bit", "NIQE")
 #: What the paper's text tells of its own method over all its sets.
 _PAPER_NIQE = "3.47 to 3.73"
 
@@ -77,5 +79,4 @@ def quality(results: Results) -> str:
             values = [number(results.quality(group, variant, measure)) for measure in MEASURES]
             paper = f"*{_PAPER_NIQE}*" if variant == "enhanced" and group in ("DICM", "LIME") else "-"
             rows.append([f"{group}, {variant}", *values, paper])
-    units = [f"{name.replace('_', ' ')}{'' if unit == '1' else f', {unit}'}" for name, unit in MEASURES.items()]
-    return table(["mean of the images", *units, "paper's own method, NIQE"], rows)
+    return table(["mean of the images", *_HEADS, "paper's own method, NIQE"], rows)
