@@ -22,6 +22,7 @@ from factors.inertial import Motion, predict
 from factors.known import known_factor
 from factors.robust import Loss, losses, weights
 from factors.so3 import Array
+from factors.time_offset import TimeOffset
 
 if TYPE_CHECKING:
     import gtsam
@@ -80,6 +81,7 @@ class RangeFamily:
     markov_m : (K, 2) what the two Markov values add to the range.
     gravity_m_s2, earth_rate_n : of the frame n.
     loss, scale : see `factors.robust`.
+    clock : the time offset of the ranges where it is a variable, or None.
     """
 
     pose_key: npt_int
@@ -102,18 +104,21 @@ class RangeFamily:
     earth_rate_n: Array
     loss: Loss = "none"
     scale: float = 3.0
+    clock: TimeOffset | None = None
 
     def only(self, rows: npt_int | np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> RangeFamily:
         """Some of the ranges."""
-        same = ("motion", "gravity_m_s2", "earth_rate_n", "loss", "scale")
+        same = ("motion", "gravity_m_s2", "earth_rate_n", "loss", "scale", "clock")
         some = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in same}
         m = self.motion
         motion = Motion(m.first, *(each[rows] for each in (m.elapsed_s, m.rotation, m.velocity_b, m.position_b)))
-        return replace(self, motion=motion, **some)
+        clock = None if self.clock is None else self.clock.only(rows)
+        return replace(self, motion=motion, clock=clock, **some)
 
     def residuals(self, values: gtsam.Values) -> tuple[Array, dict[str, Array]]:
-        """Whitened errors (K,) and Jacobians (K, size) by pose, velocity, bias, anchor and the two Markov values."""
-        t, motion = self.motion.elapsed_s[:, None], self.motion
+        """Whitened errors (K,) and Jacobians (K, size) by pose, velocity, bias, anchor, the two Markov values and time."""
+        motion = self.motion if self.clock is None else self.clock.moved(self.motion, values)
+        t = motion.elapsed_s[:, None]
         pose, bias = lookup.poses(values, self.pose_key), lookup.biases(values, self.bias_key)
         rotation, vel = pose[:, :3, :3], lookup.vectors(values, self.velocity_key)
         accel, gyro = bias[:, :3] - self.accel_bias_b, bias[:, 3:] - self.gyro_bias_b
@@ -124,7 +129,7 @@ class RangeFamily:
             motion.velocity_b - accel * t + np.cross(motion.velocity_b, gyro) * t / 2,
             motion.position_b - accel * t**2 / 2 + np.cross(motion.position_b, gyro) * t / 3,
         )
-        at, pos, _ = predict(
+        at, pos, at_vel = predict(
             rotation, pose[:, :3, 3], vel, moved, np.arange(len(t)), self.gravity_m_s2, self.earth_rate_n
         )
         anchor = lookup.vectors(values, self.anchor_key)
@@ -141,6 +146,9 @@ class RangeFamily:
             "anchor": np.concatenate([np.ones_like(t), by_anchor], axis=1),
             "markov": self.markov_m,
         }
+        if self.clock is not None:
+            velocity = self.clock.tag_velocity(at, at_vel, gyro, self.lever_arm_b)
+            jacobians["offset"] = -np.einsum("ki,ki->k", by_anchor, velocity)[:, None]
         sigma = self.sigma_m[:, None]
         return error / self.sigma_m, {name: each / sigma for name, each in jacobians.items()}
 
@@ -204,6 +212,9 @@ class RangeFamily:
             block[own_rows] = by_anchor[own_rows]
             keys.append(key)
             blocks.append(block)
+        if self.clock is not None:
+            keys.append(self.clock.key)
+            blocks.append(jacobians["offset"][rows])
         return keys, blocks
 
     def factors(self) -> list[gtsam.CustomFactor]:
@@ -223,7 +234,7 @@ class RangeFamily:
         return found
 
 
-_SIZES = {"pose": 6, "velocity": 3, "bias": 6, "anchor": 4, "markov": 2}
+_SIZES = {"pose": 6, "velocity": 3, "bias": 6, "anchor": 4, "markov": 2, "offset": 1}
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ _VARIABLES = {
     "l": ("the place of leg", "lidar_points"),
     "d": ("the LiDAR calibration of epoch", "the sigmas in [lidar]"),
     "k": ("the creep after cycle", "creep_sigma_m in [face]"),
+    "t": ("the time offset of ranges", "uwb.time_offset_sigma_s"),
 }
 
 
@@ -70,7 +71,7 @@ class SolveError(GraphnavError):
     @classmethod
     def singular(cls, error: Exception) -> SolveError:
         """GTSAM's report of an indeterminate system in the user's words: which variable, and what determines it."""
-        found = re.search(r"\b([xvbcdkl])(\d+)\b|\b(\d{16,20})\b", str(error))
+        found = re.search(r"\b([xvbcdklt])(\d+)\b|\b(\d{16,20})\b", str(error))
         if found is None:
             return cls(f"the problem is singular: {str(error).strip().splitlines()[0]}")
         if found[1] is None:

@@ -11,7 +11,7 @@ from graphnav.keyframes import SAME_S
 from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.log import Lidar, UwbAnchor
-from graphnav.problem import A, B, C, D, K, Problem, V, X, creep_cycles
+from graphnav.problem import A, B, C, D, K, Problem, T, V, X, creep_cycles
 from graphnav.ranges import slots
 from graphnav.run import (
     ACCEL_NAMES,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import gtsam
 
 #: Sizes of the variables by the letter of their key; the Markov errors of ranges have that of the problem.
-_DIMS = {ord(letter): size for letter, size in zip("xvbcklda", (6, 3, 6, 4, 1, 4, 8, 4), strict=True)}
+_DIMS = {ord(letter): size for letter, size in zip("xvbckldat", (6, 3, 6, 4, 1, 4, 8, 4, 1), strict=True)}
 
 #: Share of the detections that may be left out without a word, and sigmas at which a calibration is far off.
 _FEW, _FAR = 1e-3, 6.0
@@ -59,6 +59,8 @@ def covariances(
         groups[D(0)] = (D(0),)
     for a in _anchors(problem, result.values):
         groups[A(a)] = (A(a),)
+    if result.values.exists(T(0)):
+        groups[T(0)] = (T(0),)
     assert result.bayes_tree is not None
     return joint_marginals(result.bayes_tree, result.order, _size(problem), groups, progress)
 
@@ -154,6 +156,8 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
     for a in _anchors(problem, values):
         assert problem.log.uwb is not None
         put(A(a), values.atVector(A(a)), anchor_names(problem.log.uwb.anchor[a]))
+    if values.exists(T(0)):
+        put(T(0), values.atVector(T(0)), [("uwb_time_offset", 1.0, "s")])
     for c in creep_cycles(problem):
         put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
     return found

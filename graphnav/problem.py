@@ -2,8 +2,8 @@
 
 Variables: ``X(i)`` pose T_nb and ``V(i)`` velocity at keyframe i, ``B(e)`` IMU bias and ``C(e)`` odometer calibration
 [scale, mounting angles] in epochs, ``K(c)`` creep after cycle c, ``L(j)`` and ``D(e)`` the LiDAR's legs and
-calibration, ``A(a)`` and ``M(i)`` errors of UWB anchors and of their ranges. Epochs keep every
-variable's number of factors bounded.
+calibration, ``A(a)`` and ``M(i)`` errors of UWB anchors and of their ranges, ``T(0)`` their time offset. Epochs keep
+every variable's number of factors bounded.
 """
 
 from __future__ import annotations
@@ -63,6 +63,11 @@ def M(i: int) -> int:
     return _symbol("m", i)
 
 
+def T(k: int) -> int:
+    """Key of the time offset of ranges; there is one, T(0)."""
+    return _symbol("t", k)
+
+
 def D(e: int) -> int:
     """Key of the LiDAR calibration in epoch e."""
     return _symbol("d", e)
@@ -84,6 +89,7 @@ class Problem:
     minor_s : minor interval of the two-speed algorithm, s.
     bias_epoch, calibration_epoch : (N-1,) epoch of each interval between keyframes.
     notes : what the user should know of how the log was prepared, one line each.
+    ranges_later_s : how much the times of ranges have been moved from those of the log as read (`graphnav.range_clock`).
     """
 
     log: SensorLog
@@ -97,6 +103,7 @@ class Problem:
     bias_epoch: npt_int
     calibration_epoch: npt_int
     notes: tuple[str, ...] = ()
+    ranges_later_s: float = 0.0
 
     @property
     def keyframe_s(self) -> Array:

@@ -16,10 +16,12 @@ from factors.increments import compensated_increments, npt_int
 from factors.inertial import Motion, cumulate
 from factors.noise import diagonal
 from factors.so3 import Array
+from factors.time_offset import TimeOffset
 from graphnav.anchor_priors import anchor_priors
 from graphnav.leg_means import npt_bool
 from graphnav.log import Uwb
-from graphnav.problem import A, B, M, Problem, V, X
+from graphnav.problem import A, B, M, Problem, T, V, X
+from graphnav.range_clock import clock_prior, estimates_clock
 
 if TYPE_CHECKING:
     import gtsam
@@ -72,9 +74,13 @@ def range_readings(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) ->
     uwb, keyframe_s = problem.log.uwb, problem.keyframe_s
     if uwb is None or not uses_ranges(problem):
         return None
-    rows = np.flatnonzero((uwb.t_s >= keyframe_s[0] - _SAME_S) & (uwb.t_s <= keyframe_s[-1] + _SAME_S))
+    rows = _within(problem, uwb.t_s)
     t_s = np.clip(uwb.t_s[rows], keyframe_s[0], keyframe_s[-1])
     before = np.clip(np.searchsorted(keyframe_s, t_s + _SAME_S, side="right") - 1, 0, len(keyframe_s) - 2)
+    gyro_b, accel_b = gyro_bias_b[before], accel_bias_b[before]
+    clock = None
+    if estimates_clock(problem):
+        clock = TimeOffset.at(T(0), problem.ranges_later_s, problem.imu.samples, t_s, gyro_b, accel_b)
     ids, tags = [a.id for a in uwb.anchor], [t.id for t in uwb.tag]
     anchor = index_of(ids, np.asarray(uwb.anchor_id)[rows])
     tag = index_of(tags, np.asarray(uwb.tag_id)[rows])
@@ -89,8 +95,8 @@ def range_readings(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) ->
         slots=np.full(len(rows), slots(problem)),
         anchor_key=A(0) + anchor,
         motion=_carried(problem, t_s, before, gyro_bias_b, accel_bias_b),
-        accel_bias_b=accel_bias_b[before],
-        gyro_bias_b=gyro_bias_b[before],
+        accel_bias_b=accel_b,
+        gyro_bias_b=gyro_b,
         lever_arm_b=np.array([t.lever_arm_b_m for t in uwb.tag])[tag],
         anchor_n=np.array([a.pos_n_m for a in uwb.anchor])[anchor],
         range_m=uwb.range_m[rows],
@@ -98,8 +104,19 @@ def range_readings(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) ->
         markov_m=markov.adds_m,
         gravity_m_s2=problem.gravity_m_s2,
         earth_rate_n=problem.earth_rate_n,
+        clock=clock,
     )
     return RangeReadings(rows, anchor, family)
+
+
+def _within(problem: Problem, t_s: Array) -> npt_int:
+    """Ranges within the record and the spans: their times may have been moved since these were found."""
+    first, last = problem.keyframe_s[0], problem.keyframe_s[-1]
+    inside = np.zeros(len(t_s), bool)
+    for span in problem.frontend.ranging:
+        low, high = max(span.start_s, first) - _SAME_S, min(span.end_s, last) + _SAME_S
+        inside |= (t_s >= low) & (t_s <= high)
+    return np.flatnonzero(inside)
 
 
 def slots(problem: Problem | ChainProblem) -> int:
@@ -139,7 +156,7 @@ class MarkovParts:
         sigma = calm * uwb.markov_sigma_m
         slot = np.zeros(len(t_s), np.int64)
         for span in problem.frontend.ranging:
-            inside = (t_s >= span.start_s) & (t_s <= span.end_s)
+            inside = (t_s >= span.start_s - _SAME_S) & (t_s <= span.end_s + _SAME_S)
             names = np.array([uwb.anchor[a].id for a in anchor[inside]])
             slot[inside] = np.searchsorted(np.array(span.anchors), names)
         adds = sigma[:, None] * np.column_stack([first, second])
@@ -189,10 +206,12 @@ class RangeStates:
     Attributes
     ----------
     anchors : indices of the anchors heard; markov : (S, 2) first and last keyframe of each span's Markov errors.
+    clock : whether the time offset is one of them.
     """
 
     anchors: list[int]
     markov: list[tuple[int, int]]
+    clock: bool = False
 
     @classmethod
     def of(cls, problem: Problem | ChainProblem, readings: RangeReadings) -> RangeStates:
@@ -204,10 +223,17 @@ class RangeStates:
         first = [int(np.searchsorted(t, span.start_s + _SAME_S, side="right") - 1) for span in problem.frontend.ranging]
         last = [int(np.searchsorted(t, span.end_s + _SAME_S, side="right")) for span in problem.frontend.ranging]
         spans = [(max(lo, 0), min(hi, len(t) - 1)) for lo, hi in zip(first, last, strict=True)] if len(edges) else []
-        return cls(np.unique(readings.anchor).tolist(), spans)
+        return cls(np.unique(readings.anchor).tolist(), spans, readings.family.clock is not None)
 
     def insert(self, problem: Problem | ChainProblem, values: gtsam.Values) -> None:
-        """Zeros for what is not there yet."""
+        """Zeros for what is not there yet; Markov errors of keyframes that moved ranges have left are taken out."""
+        if self.clock:
+            if not values.exists(T(0)):
+                values.insert(T(0), np.zeros(1))
+            needed = {i for first, last in self.markov for i in range(first, last + 1)}
+            for i in range(len(problem.keyframe_s)):
+                if i not in needed and values.exists(M(i)):
+                    values.erase(M(i))
         for a in self.anchors:
             if not values.exists(A(a)):
                 values.insert(A(a), np.zeros(4))
@@ -224,6 +250,7 @@ class RangeStates:
         assert uwb is not None
         found: list[tuple[int, gtsam.NonlinearFactor]] = []
         found += [(0, factor) for factor in anchor_priors(uwb, self.anchors)]
+        found += [(0, clock_prior(problem.config.uwb))] if self.clock else []
         for first, last in self.markov:
             assert uwb.markov_time_s is not None
             found.append((first, gtsam.PriorFactorVector(M(first), np.zeros(size), diagonal(np.ones(size)))))

@@ -25,6 +25,7 @@ from graphnav.outcome import estimated_biases
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, X
 from graphnav.range_agreement import agreeing_ranges
+from graphnav.range_clock import estimates_clock, moved, settled
 from graphnav.ranges import RangeReadings, RangeStates, range_readings, uses_ranges
 from graphnav.solvers import absolute, batch, incremental
 
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 _ROUGH_SIGMAS = 1000.0
 #: Iterations after which readings of legs that contradict each other are looked for: they slow convergence down.
 _COMPROMISE = 10
+#: Times that ranges are moved before outliers are looked for, iterations and joint sigmas of each rough solution.
+_CLOCK_ROUNDS, _CLOCK_ITERATIONS, _CLOCK_SIGMAS = 6, 10, 3.0
 
 
 @dataclass
@@ -46,7 +49,7 @@ class Solved:
     ----------
     result : estimates and their square-root information.
     data : the condensed sensor data that it was solved with.
-    biases_moved : whether the biases still moved at the end.
+    biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
     advances : pairs of legs tied by the push of their support, or None.
@@ -62,6 +65,7 @@ class Solved:
     ranges_left_out: RangeReadings | None = None
     advances: AdvanceFamily | None = None
     causal: States | None = None
+    clock_moved: bool = False
 
 
 def solve_batch(problem: Problem, stages: Stages) -> Solved:
@@ -137,10 +141,12 @@ def _solve_rounds(
     predicted : absolute closed-path priors that iSAM2 made on its way; batch makes its own where there are none.
     """
     config, lidar = problem.config.batch, problem.log.lidar
+    problem, values = _on_the_clock(problem, stages, data, values)
     history: list[batch.Iteration] = []
     advances: AdvanceFamily | None = None
     for round_ in range(config.bias_move_rounds):
         left_out = None  # what an earlier round left out may agree along a better path
+        problem = moved(problem, values)
         with stages.stage("assemble"):
             readings = _leg_readings(problem, data, values)
             advances = None if readings is None else leg_advances(problem, readings, values)
@@ -168,14 +174,41 @@ def _solve_rounds(
                     result = _solved(problem, graph, values, tick)
                     history += result.iterations
         gyro, accel = estimated_biases(problem, result.values)
-        moved = biases_moved(problem, data, gyro, accel)
-        if not moved or not result.converged or round_ == config.bias_move_rounds - 1:
+        better, clock_moved = biases_moved(problem, data, gyro, accel), not settled(problem, result.values)
+        if not (better or clock_moved) or not result.converged or round_ == config.bias_move_rounds - 1:
             break
         with stages.stage("assemble") as tick:
             data = _preintegrate(problem, gyro, accel, tick)
             values = result.values
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return Solved(result, data, moved, readings, left_out, ranges, ranges_left_out, advances)
+    return Solved(
+        result, data, better, readings, left_out, ranges, ranges_left_out, advances, clock_moved=clock_moved
+    )
+
+
+def _on_the_clock(
+    problem: Problem, stages: Stages, data: Preintegrated, values: gtsam.Values
+) -> tuple[Problem, gtsam.Values]:
+    """The problem with its ranges moved by their time offset, where that is asked for, and values that go with it.
+
+    All ranges take part, with Huber's loss where outliers are looked for: at a wrong time many look like one.
+    """
+    config = problem.config.uwb
+    if not (uses_ranges(problem) and estimates_clock(problem)):
+        return problem, values
+    for _ in range(_CLOCK_ROUNDS):
+        with stages.stage("assemble"):
+            problem = moved(problem, values)
+            graph = build_graph(problem, data, ranges=_range_readings(problem, data, values))
+            if graph.ranges is not None and config.loss != "none":
+                graph = replace(graph, ranges=replace(graph.ranges, loss="huber", scale=config.loss_sigmas))
+        with stages.stage("solve"):
+            values = batch.solve(
+                graph, values, max_iterations=_CLOCK_ITERATIONS, tolerance_sigma=_CLOCK_SIGMAS, exact=False
+            ).values
+        if settled(problem, values):
+            break
+    return problem, values
 
 
 def _solved(
@@ -213,7 +246,7 @@ def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -
 
 def _range_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -> RangeReadings | None:
     """UWB ranges, whose variables are added to the values."""
-    readings = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
+    readings = range_readings(moved(problem, values), data.gyro_bias_b, data.accel_bias_b)
     if readings is not None:
         RangeStates.of(problem, readings).insert(problem, values)
     return readings

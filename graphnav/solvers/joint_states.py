@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from factors.advance import AdvanceFamily
 
 #: Sizes of the variables by the letter of their key.
-_DIMS = {ord(letter): size for letter, size in zip("xvbcklda", (6, 3, 6, 4, 1, 4, 8, 4), strict=True)}
+_DIMS = {ord(letter): size for letter, size in zip("xvbckldat", (6, 3, 6, 4, 1, 4, 8, 4, 1), strict=True)}
 Progress = Callable[[float, float], None]
 
 
