@@ -116,9 +116,8 @@ class RangeFamily:
         return replace(self, motion=motion, clock=clock, **some)
 
     def residuals(self, values: gtsam.Values) -> tuple[Array, dict[str, Array]]:
-        """Whitened errors (K,) and Jacobians (K, size) by pose, velocity, bias, anchor, the two Markov values and time."""
-        motion = self.motion if self.clock is None else self.clock.moved(self.motion, values)
-        t = motion.elapsed_s[:, None]
+        """Whitened errors (K,), Jacobians (K, size) by pose, velocity, bias, anchor, the two Markov values, offset."""
+        t, motion = self.motion.elapsed_s[:, None], self.motion
         pose, bias = lookup.poses(values, self.pose_key), lookup.biases(values, self.bias_key)
         rotation, vel = pose[:, :3, :3], lookup.vectors(values, self.velocity_key)
         accel, gyro = bias[:, :3] - self.accel_bias_b, bias[:, 3:] - self.gyro_bias_b
@@ -129,9 +128,11 @@ class RangeFamily:
             motion.velocity_b - accel * t + np.cross(motion.velocity_b, gyro) * t / 2,
             motion.position_b - accel * t**2 / 2 + np.cross(motion.position_b, gyro) * t / 3,
         )
-        at, pos, at_vel = predict(
+        at, pos, _ = predict(
             rotation, pose[:, :3, 3], vel, moved, np.arange(len(t)), self.gravity_m_s2, self.earth_rate_n
         )
+        if self.clock is not None:
+            pos = pos + self.clock.moved_n(values)
         anchor = lookup.vectors(values, self.anchor_key)
         error, by_at, by_anchor = range_residual(at, pos, self.lever_arm_b, self.anchor_n + anchor[:, 1:], self.range_m)
         error = error + anchor[:, 0] + self._markov(values)
@@ -147,8 +148,7 @@ class RangeFamily:
             "markov": self.markov_m,
         }
         if self.clock is not None:
-            velocity = self.clock.tag_velocity(at, at_vel, gyro, self.lever_arm_b)
-            jacobians["offset"] = -np.einsum("ki,ki->k", by_anchor, velocity)[:, None]
+            jacobians["offset"] = self.clock.jacobian(-by_anchor)
         sigma = self.sigma_m[:, None]
         return error / self.sigma_m, {name: each / sigma for name, each in jacobians.items()}
 
@@ -165,7 +165,7 @@ class RangeFamily:
         return found
 
     def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> None:
-        """Append the whitened Jacobian factors at `values`, one for each keyframe that has ranges."""
+        """Append the whitened Jacobian factors at `values`, one for each group of ranges."""
         import gtsam
 
         if not len(self.range_m):
@@ -187,8 +187,8 @@ class RangeFamily:
         linear.push_back(gtsam.JacobianFactor(held, np.zeros((1, 6)), np.array([np.sqrt(max(excess, 0.0))]), unit))
 
     def groups(self) -> list[slice]:
-        """Ranges that share a keyframe."""
-        first = np.flatnonzero(np.diff(self.pose_key, prepend=-1))
+        """Ranges that share keyframes."""
+        first = np.flatnonzero(np.diff(self.pose_key, prepend=-1) | np.diff(self.markov_key, prepend=-1))
         last = np.append(first[1:], len(self.pose_key))
         return [slice(lo, hi) for lo, hi in zip(first.tolist(), last.tolist(), strict=True)]
 

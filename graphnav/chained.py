@@ -25,9 +25,9 @@ from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
+from graphnav.markov_errors import slots
 from graphnav.problem import A, D, X
 from graphnav.range_agreement import agreeing_ranges
-from graphnav.ranges import slots
 from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
 from graphnav.solvers import batch
 from graphnav.solvers.covariance import joint_marginals

@@ -11,8 +11,8 @@ from graphnav.keyframes import SAME_S
 from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.log import Lidar, UwbAnchor
+from graphnav.markov_errors import slots
 from graphnav.problem import A, B, C, D, K, Problem, T, V, X, creep_cycles
-from graphnav.ranges import slots
 from graphnav.run import (
     ACCEL_NAMES,
     DEG_H,

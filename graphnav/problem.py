@@ -79,6 +79,14 @@ def _symbol(letter: str, index: int) -> int:
 
 
 @dataclass(frozen=True)
+class RangeClock:
+    """A time offset of ranges, found so far: `later_s` is added to their times; its sigma, or None before any."""
+
+    later_s: float = 0.0
+    sigma_s: float | None = None
+
+
+@dataclass(frozen=True)
 class Problem:
     """What stays fixed while solving.
 
@@ -89,7 +97,7 @@ class Problem:
     minor_s : minor interval of the two-speed algorithm, s.
     bias_epoch, calibration_epoch : (N-1,) epoch of each interval between keyframes.
     notes : what the user should know of how the log was prepared, one line each.
-    ranges_later_s : how much the times of ranges have been moved from those of the log as read (`graphnav.range_clock`).
+    clock : what has been found of the ranges' clock, to which their times in `log` have been moved.
     """
 
     log: SensorLog
@@ -103,7 +111,7 @@ class Problem:
     bias_epoch: npt_int
     calibration_epoch: npt_int
     notes: tuple[str, ...] = ()
-    ranges_later_s: float = 0.0
+    clock: RangeClock = RangeClock()
 
     @property
     def keyframe_s(self) -> Array:

@@ -1,7 +1,7 @@
-"""A clock of ranges that is off: the time offset as a variable, and the log moved to where it has been found.
+"""A clock of ranges that is off: the time offset as a variable, and the ranges moved to where it has been found.
 
-A range stamped t measured the tag at ``t + d``. Between linearizations d is linear; where it is large against what the
-motion does in that time, the whole table is moved by what is known of it and the ranges are carried anew.
+A range stamped t measured the tag at ``t + d``. Between linearizations the tag goes straight (`factors.time_offset`);
+so the table is moved by what is known of d, the ranges are carried anew, and all is solved again, until d stays.
 """
 
 from __future__ import annotations
@@ -11,52 +11,72 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors.noise import diagonal
-from graphnav.problem import Problem, T
+from factors.so3 import Array
+from factors.time_offset import TimeOffset
+from graphnav.problem import Problem, RangeClock, T
+from graphnav.ranges import RangeReadings
 
 if TYPE_CHECKING:
     import gtsam
 
-    from graphnav.chain_problem import ChainProblem
-    from graphnav.config import UwbConfig
+    from graphnav.trajectory import Trajectory
 
-#: A move of the ranges' times below this is linear to less than any range tells: 1 mm at 1 m/s.
-SETTLED_S = 1e-3
+#: Half the time over which the tag's velocity is taken, in sigmas of the offset, and at least, s.
+_WINDOW_SIGMAS, _WINDOW_S = 2.0, 0.01
+#: A share of its sigma by which the offset may still move, or s.
+_SETTLED_SIGMAS, _SETTLED_S = 0.1, 1e-3
 
 
-def estimates_clock(problem: Problem | ChainProblem) -> bool:
+def estimates_clock(problem: Problem) -> bool:
     """Whether the time offset of the ranges is a variable."""
     return problem.config.uwb.estimate_time_offset
 
 
-def clock_prior(config: UwbConfig) -> gtsam.NonlinearFactor:
-    """How far the offset may be from zero."""
-    import gtsam
+def moved(problem: Problem, clock: RangeClock) -> Problem:
+    """The problem with its ranges at the times that `clock` gives.
 
-    return gtsam.PriorFactorVector(T(0), np.zeros(1), diagonal(np.array([config.time_offset_sigma_s])))
+    Spans, and the keyframes of Markov errors in them, stay in the ranges' own time: these errors are the radio's.
+    """
+    uwb, more = problem.log.uwb, clock.later_s - problem.clock.later_s
+    if uwb is None or not more:
+        return replace(problem, clock=clock)
+    return replace(problem, log=replace(problem.log, uwb=replace(uwb, t_s=uwb.t_s + more)), clock=clock)
 
 
-def offset_s(values: gtsam.Values) -> float:
-    """The time offset in `values`; zero where it is no variable."""
+def settled(before: RangeClock, after: RangeClock) -> bool:
+    """Whether the second is near enough to the first, along which it was found."""
+    return abs(after.later_s - before.later_s) <= max(_SETTLED_SIGMAS * (after.sigma_s or 0.0), _SETTLED_S)
+
+
+def offset_in(values: gtsam.Values) -> float:
+    """The time offset, s; zero where it is no variable."""
     return float(values.atVector(T(0))[0]) if values.exists(T(0)) else 0.0
 
 
-def moved(problem: Problem, values: gtsam.Values) -> Problem:
-    """The problem with its ranges and their spans at the times that the offset in `values` gives."""
-    uwb, more = problem.log.uwb, offset_s(values) - problem.ranges_later_s
-    if uwb is None or not more:
-        return problem
-    spans = tuple(
-        replace(span, start_s=span.start_s + more, end_s=span.end_s + more) for span in problem.frontend.ranging
-    )
-    return replace(
-        problem,
-        log=replace(problem.log, uwb=replace(uwb, t_s=uwb.t_s + more)),
-        frontend=replace(problem.frontend, ranging=spans),
-        ranges_later_s=problem.ranges_later_s + more,
-    )
+def with_offset(problem: Problem, readings: RangeReadings, along: Trajectory | None) -> RangeReadings:
+    """Ranges whose time offset is a variable.
+
+    Parameters
+    ----------
+    along : a path near the solution; None where there is none yet, and the offset stays where it is.
+    """
+    assert problem.log.uwb is not None
+    clock, family = problem.clock, readings.family
+    velocity = np.zeros((len(readings.row), 3))
+    if along is not None:
+        window_s = max(_WINDOW_SIGMAS * (clock.sigma_s or 0.0), _WINDOW_S)
+        velocity = _velocity(along, problem.log.uwb.t_s[readings.row], family.lever_arm_b, window_s)
+    return replace(readings, family=replace(family, clock=TimeOffset(T(0), clock.later_s, velocity)))
 
 
-def settled(problem: Problem, values: gtsam.Values) -> bool:
-    """Whether the ranges stand where the offset in `values` puts them, near enough."""
-    return abs(offset_s(values) - problem.ranges_later_s) <= SETTLED_S
+def _velocity(along: Trajectory, t_s: Array, lever_arm_b: Array, window_s: float) -> Array:
+    """Mean velocities (K, 3) of tags from `window_s` before to as long after, within the path's span."""
+    first, last = (np.clip(t_s + side * window_s, along.t_s[0], along.t_s[-1]) for side in (-1, 1))
+    gone = _tags(along, last, lever_arm_b) - _tags(along, first, lever_arm_b)
+    return np.asarray(gone / (last - first)[:, None])
+
+
+def _tags(along: Trajectory, t_s: Array, lever_arm_b: Array) -> Array:
+    times, which = np.unique(t_s, return_inverse=True)
+    at = along.at(times)
+    return np.asarray(at.pos_n[which] + np.einsum("kij,kj->ki", at.rotation_nb[which], lever_arm_b))

@@ -5,7 +5,7 @@ biases moved too far.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,13 +21,15 @@ from graphnav.initial import States, initial_values, start_state
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
-from graphnav.outcome import estimated_biases
+from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
-from graphnav.problem import D, L, Problem, X
+from graphnav.problem import D, L, Problem, RangeClock, T, X
 from graphnav.range_agreement import agreeing_ranges
-from graphnav.range_clock import estimates_clock, moved, settled
+from graphnav.range_clock import estimates_clock, moved, offset_in, settled, with_offset
 from graphnav.ranges import RangeReadings, RangeStates, range_readings, uses_ranges
 from graphnav.solvers import absolute, batch, incremental
+from graphnav.solvers.elimination import eliminated_last
+from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import gtsam
@@ -38,7 +40,7 @@ _ROUGH_SIGMAS = 1000.0
 #: Iterations after which readings of legs that contradict each other are looked for: they slow convergence down.
 _COMPROMISE = 10
 #: Times that ranges are moved before outliers are looked for, iterations and joint sigmas of each rough solution.
-_CLOCK_ROUNDS, _CLOCK_ITERATIONS, _CLOCK_SIGMAS = 6, 10, 3.0
+_CLOCK_ROUNDS, _CLOCK_ITERATIONS, _CLOCK_SIGMAS = 6, 10, 0.1
 
 
 @dataclass
@@ -50,6 +52,7 @@ class Solved:
     result : estimates and their square-root information.
     data : the condensed sensor data that it was solved with.
     biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
+    clock : with which the ranges were carried.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
     advances : pairs of legs tied by the push of their support, or None.
@@ -66,6 +69,7 @@ class Solved:
     advances: AdvanceFamily | None = None
     causal: States | None = None
     clock_moved: bool = False
+    clock: RangeClock = field(default_factory=RangeClock)
 
 
 def solve_batch(problem: Problem, stages: Stages) -> Solved:
@@ -142,15 +146,16 @@ def _solve_rounds(
     """
     config, lidar = problem.config.batch, problem.log.lidar
     problem, values = _on_the_clock(problem, stages, data, values)
+    along: Trajectory | None = None
     history: list[batch.Iteration] = []
     advances: AdvanceFamily | None = None
     for round_ in range(config.bias_move_rounds):
         left_out = None  # what an earlier round left out may agree along a better path
-        problem = moved(problem, values)
         with stages.stage("assemble"):
+            along = smoothed_trajectory(problem, values, None) if values.exists(T(0)) else None
             readings = _leg_readings(problem, data, values)
             advances = None if readings is None else leg_advances(problem, readings, values)
-            ranges, ranges_left_out = _range_readings(problem, data, values), None
+            ranges, ranges_left_out = _range_readings(problem, data, values, along), None
             graph = build_graph(problem, data, readings, advances, ranges)
             for factor in predicted:
                 graph.native.add(factor)
@@ -174,16 +179,15 @@ def _solve_rounds(
                     result = _solved(problem, graph, values, tick)
                     history += result.iterations
         gyro, accel = estimated_biases(problem, result.values)
-        better, clock_moved = biases_moved(problem, data, gyro, accel), not settled(problem, result.values)
+        clock = replace(problem.clock, later_s=offset_in(result.values))
+        better, clock_moved = biases_moved(problem, data, gyro, accel), not settled(problem.clock, clock)
         if not (better or clock_moved) or not result.converged or round_ == config.bias_move_rounds - 1:
             break
         with stages.stage("assemble") as tick:
-            data = _preintegrate(problem, gyro, accel, tick)
-            values = result.values
+            data = _preintegrate(problem, gyro, accel, tick) if better else data
+            problem, values = moved(problem, clock), result.values
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return Solved(
-        result, data, better, readings, left_out, ranges, ranges_left_out, advances, clock_moved=clock_moved
-    )
+    return Solved(result, data, better, readings, left_out, ranges, ranges_left_out, advances, clock_moved=clock_moved)
 
 
 def _on_the_clock(
@@ -191,22 +195,27 @@ def _on_the_clock(
 ) -> tuple[Problem, gtsam.Values]:
     """The problem with its ranges moved by their time offset, where that is asked for, and values that go with it.
 
-    All ranges take part, with Huber's loss where outliers are looked for: at a wrong time many look like one.
+    All ranges take part, with Huber's loss where outliers are looked for: at a wrong time many look like one. The path
+    along which the tag's velocity is taken comes from a first solution without an offset.
     """
     config = problem.config.uwb
     if not (uses_ranges(problem) and estimates_clock(problem)):
         return problem, values
+    along: Trajectory | None = None
     for _ in range(_CLOCK_ROUNDS):
         with stages.stage("assemble"):
-            problem = moved(problem, values)
-            graph = build_graph(problem, data, ranges=_range_readings(problem, data, values))
+            graph = build_graph(problem, data, ranges=_range_readings(problem, data, values, along))
             if graph.ranges is not None and config.loss != "none":
                 graph = replace(graph, ranges=replace(graph.ranges, loss="huber", scale=config.loss_sigmas))
         with stages.stage("solve"):
             values = batch.solve(
                 graph, values, max_iterations=_CLOCK_ITERATIONS, tolerance_sigma=_CLOCK_SIGMAS, exact=False
             ).values
-        if settled(problem, values):
+            root, _ = eliminated_last(graph.linearize(values), T(0))
+        clock = RangeClock(offset_in(values), 1 / root)
+        done = along is not None and settled(problem.clock, clock)
+        problem, along = moved(problem, clock), smoothed_trajectory(problem, values, None)
+        if done:
             break
     return problem, values
 
@@ -244,10 +253,14 @@ def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -
     return readings
 
 
-def _range_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -> RangeReadings | None:
-    """UWB ranges, whose variables are added to the values."""
-    readings = range_readings(moved(problem, values), data.gyro_bias_b, data.accel_bias_b)
+def _range_readings(
+    problem: Problem, data: Preintegrated, values: gtsam.Values, along: Trajectory | None = None
+) -> RangeReadings | None:
+    """UWB ranges, whose variables are added to the values; `along` : a path, where their time offset is one."""
+    readings = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
     if readings is not None:
+        if estimates_clock(problem):
+            readings = with_offset(problem, readings, along)
         RangeStates.of(problem, readings).insert(problem, values)
     return readings
 

@@ -56,6 +56,8 @@ FLOORS = (
         "graphnav.chain_graph",
         "graphnav.chain_problem",
         "graphnav.chain_ranges",
+        "graphnav.markov_errors",
+        "graphnav.range_clock",
         "graphnav.ranges",
         "graphnav.legs",
         "graphnav.leg_advances",

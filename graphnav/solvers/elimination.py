@@ -55,6 +55,22 @@ def eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gt
         raise SolveError.singular(error) from None
 
 
+def eliminated_last(linear: gtsam.GaussianFactorGraph, key: int) -> tuple[float, float]:
+    """What all factors together say of one variable of size 1: r and d of ``(r x - d)^2``, its sigma 1 / r, step d / r.
+
+    Raises
+    ------
+    SolveError : a singular system.
+    """
+    import gtsam
+
+    tree = eliminate(linear, gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, [key]))
+    conditional = tree[key].conditional()
+    # the last of its clique, and QR may leave either sign
+    root, right = float(conditional.R()[-1, -1]), float(conditional.d()[-1])
+    return abs(root), right * np.sign(root)
+
+
 def ordering_of(linear: gtsam.GaussianFactorGraph, first: list[int] | None) -> gtsam.Ordering:
     """Fill-reducing order; with landmarks nested dissection of what is left after `first`."""
     import gtsam

@@ -20,9 +20,9 @@ from graphnav.errors import SolveError
 from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
 from graphnav.legs import uses_legs
+from graphnav.markov_errors import slots
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
-from graphnav.ranges import slots
 from graphnav.solvers.absolute import predicted_factor
 from graphnav.solvers.incremental_legs import LegFeed, without_legs
 
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 #: Markov errors enter ranges linearly: no threshold on them matters.
 _MARKOV = 1e3
-#: Time offset of ranges, s: at 1 m/s a centimetre.
-_CLOCK_S = 0.01
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,6 @@ def parameters(config: Isam2Config, slots: int = 0) -> gtsam.ISAM2Params:
         ("d", [config.threshold_scale, config.threshold_position_m, *[config.threshold_mounting_rad] * 6]),
         ("a", [config.threshold_position_m] * 4),
         ("m", [_MARKOV] * slots),
-        ("t", [_CLOCK_S]),
     ):
         thresholds.insert((letter, np.array(values)))
     params.setRelinearizeThreshold(thresholds)
@@ -172,11 +169,10 @@ class _Session:
         """Add a factor, and the variables of creep and of ranges that it may be the first to mention."""
         for key in factor.keys() if self.creeping or self.slots else ():
             letter = chr(key >> 56)
-            if letter in "kamt" and not (self.theta.exists(key) or self.values.exists(key)):
+            if letter in "kam" and not (self.theta.exists(key) or self.values.exists(key)):
                 face = self.problem.log.face
                 creep = np.array([face.creep_m if face else 0.0])
-                zero = {"a": np.zeros(4), "m": np.zeros(self.slots), "t": np.zeros(1)}
-                self.values.insert(key, (zero | {"k": creep})[letter])
+                self.values.insert(key, {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots)}[letter])
         self.pending.add(factor)
 
     def add_absolute(self, point: ClosedPathPoint) -> None:

@@ -15,9 +15,10 @@ import numpy as np
 from factors.so3 import Array
 from graphnav.graph import build_graph
 from graphnav.legs import LegReadings
+from graphnav.markov_errors import slots
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, D, L, Problem, V, X
-from graphnav.ranges import RangeReadings, slots
+from graphnav.ranges import RangeReadings
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.solvers.elimination import eliminate, elimination
 from graphnav.solvers.joint_keys import joint_covariance
@@ -189,12 +190,8 @@ def _needs(problem: Problem, keys: list[int], seen: dict[tuple[int, ...], int]) 
             epochs = problem.bias_epoch if letter == "b" else problem.calibration_epoch
             needed = max(needed, int(np.searchsorted(epochs, index)) + 1)
     # a range lies between the keyframe whose pose it has and the next
-    return needed + (bool(poses) and any(key >> 56 == ord("a") for key in keys) and not _has_next(keys))
-
-
-def _has_next(keys: list[int]) -> bool:
-    """Whether a range's Markov errors name the keyframe after it already."""
-    return sum(key >> 56 == ord("m") for key in keys) == 2
+    between = 1 if any(key >> 56 == ord("a") for key in keys) else 0
+    return max([needed, *((pose & ((1 << 56) - 1)) + between for pose in poses)])
 
 
 def _tie(keys: tuple[int, ...]) -> gtsam.GaussianFactor:
