@@ -6,15 +6,17 @@ so the table is moved by what is known of d, the ranges are carried anew, and al
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from factors.so3 import Array
 from factors.time_offset import TimeOffset
+from graphnav.graph import SmoothingGraph
 from graphnav.problem import Problem, RangeClock, T
 from graphnav.ranges import RangeReadings
+from graphnav.solvers.elimination import eliminated_last
 
 if TYPE_CHECKING:
     import gtsam
@@ -67,6 +69,42 @@ def with_offset(problem: Problem, readings: RangeReadings, along: Trajectory | N
         window_s = max(_WINDOW_SIGMAS * (clock.sigma_s or 0.0), _WINDOW_S)
         velocity = _velocity(along, problem.log.uwb.t_s[readings.row], family.lever_arm_b, window_s)
     return replace(readings, family=replace(family, clock=TimeOffset(T(0), clock.later_s, velocity)))
+
+
+@dataclass(frozen=True)
+class ClockScore:
+    """What ranges whose clock is taken for right say of it: offset and its sigma, s, to first order."""
+
+    offset_s: float
+    sigma_s: float
+
+
+def clock_score(
+    problem: Problem, graph: SmoothingGraph, ranges: RangeReadings, along: Trajectory, values: gtsam.Values
+) -> ClockScore | None:
+    """The score of a time offset at a solution without one; None where the ranges tell nothing of it.
+
+    One Gauss-Newton step with the offset as a further variable, of which nothing is known before (C. R. Rao, Proc.
+    Cambridge Phil. Soc. 44 (1948)): without an offset its step over its sigma is standard normal.
+
+    Parameters
+    ----------
+    graph, ranges, values : as solved; along : the path that was found.
+    """
+    import gtsam
+
+    wide = replace(problem, clock=RangeClock(0.0, problem.config.uwb.time_offset_sigma_s))
+    family, moved_values = with_offset(wide, ranges, along).family, gtsam.Values(values)
+    moved_values.insert(T(0), np.zeros(1))
+    linear = replace(graph, ranges=family).linearize(moved_values)
+    # what holds it where the machine stands, and is taken out again
+    unit = gtsam.noiseModel.Unit.Create(1)
+    linear.push_back(gtsam.JacobianFactor(T(0), np.eye(1), np.zeros(1), unit))
+    root, right = eliminated_last(linear, T(0))
+    information = root**2 - 1.0
+    if information < 1.0:
+        return None
+    return ClockScore(root * right / information, information**-0.5)
 
 
 def _velocity(along: Trajectory, t_s: Array, lever_arm_b: Array, window_s: float) -> Array:

@@ -25,10 +25,10 @@ from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, RangeClock, T, X
 from graphnav.range_agreement import agreeing_ranges
-from graphnav.range_clock import estimates_clock, moved, offset_in, settled, with_offset
-from graphnav.ranges import RangeReadings, RangeStates, range_readings, uses_ranges
+from graphnav.range_clock import ClockScore, clock_score, estimates_clock, moved, offset_in, settled
+from graphnav.range_rounds import on_the_clock, posed_ranges
+from graphnav.ranges import RangeReadings, range_readings, uses_ranges
 from graphnav.solvers import absolute, batch, incremental
-from graphnav.solvers.elimination import eliminated_last
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -39,8 +39,6 @@ if TYPE_CHECKING:
 _ROUGH_SIGMAS = 1000.0
 #: Iterations after which readings of legs that contradict each other are looked for: they slow convergence down.
 _COMPROMISE = 10
-#: Times that ranges are moved before outliers are looked for, iterations and joint sigmas of each rough solution.
-_CLOCK_ROUNDS, _CLOCK_ITERATIONS, _CLOCK_SIGMAS = 6, 10, 0.1
 
 
 @dataclass
@@ -53,6 +51,7 @@ class Solved:
     data : the condensed sensor data that it was solved with.
     biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
     clock : with which the ranges were carried.
+    clock_score : what the ranges say of a time offset that is no variable, or None.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
     advances : pairs of legs tied by the push of their support, or None.
@@ -70,6 +69,7 @@ class Solved:
     causal: States | None = None
     clock_moved: bool = False
     clock: RangeClock = field(default_factory=RangeClock)
+    clock_score: ClockScore | None = None
 
 
 def solve_batch(problem: Problem, stages: Stages) -> Solved:
@@ -94,7 +94,7 @@ def _roughly(
     known leads metres aside, where ranges to anchors near one plane put the machine on its other side.
     """
     with stages.stage("assemble"):
-        graph = build_graph(problem, data, ranges=_range_readings(problem, data, values) if ranges else None)
+        graph = build_graph(problem, data, ranges=posed_ranges(problem, data, values) if ranges else None)
     with stages.stage("solve"):
         most = problem.config.batch.max_iterations
         return batch.solve(graph, values, max_iterations=most, tolerance_sigma=_ROUGH_SIGMAS, exact=False).values
@@ -145,7 +145,7 @@ def _solve_rounds(
     predicted : absolute closed-path priors that iSAM2 made on its way; batch makes its own where there are none.
     """
     config, lidar = problem.config.batch, problem.log.lidar
-    problem, values = _on_the_clock(problem, stages, data, values)
+    problem, values = on_the_clock(problem, stages, data, values)
     along: Trajectory | None = None
     history: list[batch.Iteration] = []
     advances: AdvanceFamily | None = None
@@ -155,7 +155,7 @@ def _solve_rounds(
             along = smoothed_trajectory(problem, values, None) if values.exists(T(0)) else None
             readings = _leg_readings(problem, data, values)
             advances = None if readings is None else leg_advances(problem, readings, values)
-            ranges, ranges_left_out = _range_readings(problem, data, values, along), None
+            ranges, ranges_left_out = posed_ranges(problem, data, values, along), None
             graph = build_graph(problem, data, readings, advances, ranges)
             for factor in predicted:
                 graph.native.add(factor)
@@ -186,38 +186,17 @@ def _solve_rounds(
         with stages.stage("assemble") as tick:
             data = _preintegrate(problem, gyro, accel, tick) if better else data
             problem, values = moved(problem, clock), result.values
-    result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return Solved(result, data, better, readings, left_out, ranges, ranges_left_out, advances, clock_moved=clock_moved)
-
-
-def _on_the_clock(
-    problem: Problem, stages: Stages, data: Preintegrated, values: gtsam.Values
-) -> tuple[Problem, gtsam.Values]:
-    """The problem with its ranges moved by their time offset, where that is asked for, and values that go with it.
-
-    All ranges take part, with Huber's loss where outliers are looked for: at a wrong time many look like one. The path
-    along which the tag's velocity is taken comes from a first solution without an offset.
-    """
-    config = problem.config.uwb
-    if not (uses_ranges(problem) and estimates_clock(problem)):
-        return problem, values
-    along: Trajectory | None = None
-    for _ in range(_CLOCK_ROUNDS):
-        with stages.stage("assemble"):
-            graph = build_graph(problem, data, ranges=_range_readings(problem, data, values, along))
-            if graph.ranges is not None and config.loss != "none":
-                graph = replace(graph, ranges=replace(graph.ranges, loss="huber", scale=config.loss_sigmas))
+    score = None
+    if ranges is not None and not estimates_clock(problem):
         with stages.stage("solve"):
-            values = batch.solve(
-                graph, values, max_iterations=_CLOCK_ITERATIONS, tolerance_sigma=_CLOCK_SIGMAS, exact=False
-            ).values
-            root, _ = eliminated_last(graph.linearize(values), T(0))
-        clock = RangeClock(offset_in(values), 1 / root)
-        done = along is not None and settled(problem.clock, clock)
-        problem, along = moved(problem, clock), smoothed_trajectory(problem, values, None)
-        if done:
-            break
-    return problem, values
+            score = clock_score(
+                problem, graph, ranges, smoothed_trajectory(problem, result.values, None), result.values
+            )
+    result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
+    return Solved(
+        result, data, better, readings, left_out, ranges, ranges_left_out, advances,
+        clock_moved=clock_moved, clock=problem.clock, clock_score=score,
+    )  # fmt: skip
 
 
 def _solved(
@@ -250,18 +229,6 @@ def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -
     for j, place_n in enumerate(readings.place_n):
         if not values.exists(L(j)):
             values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
-    return readings
-
-
-def _range_readings(
-    problem: Problem, data: Preintegrated, values: gtsam.Values, along: Trajectory | None = None
-) -> RangeReadings | None:
-    """UWB ranges, whose variables are added to the values; `along` : a path, where their time offset is one."""
-    readings = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
-    if readings is not None:
-        if estimates_clock(problem):
-            readings = with_offset(problem, readings, along)
-        RangeStates.of(problem, readings).insert(problem, values)
     return readings
 
 

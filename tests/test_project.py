@@ -57,7 +57,6 @@ FLOORS = (
         "graphnav.chain_problem",
         "graphnav.chain_ranges",
         "graphnav.markov_errors",
-        "graphnav.range_clock",
         "graphnav.ranges",
         "graphnav.legs",
         "graphnav.leg_advances",
@@ -68,7 +67,13 @@ FLOORS = (
         "graphnav.anchor_priors",
         "graphnav.preintegration",
     },
-    {"graphnav.solvers", "graphnav.observability", "graphnav.leg_agreement", "graphnav.range_agreement"},
+    {
+        "graphnav.solvers",
+        "graphnav.observability",
+        "graphnav.leg_agreement",
+        "graphnav.range_agreement",
+        "graphnav.range_clock",
+    },
     {
         "graphnav.smooth",
         "graphnav.outcome",
@@ -85,6 +90,7 @@ FLOORS = (
         "graphnav.face_line",
         "graphnav.creep",
         "graphnav.range_outcome",
+        "graphnav.range_rounds",
     },
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )

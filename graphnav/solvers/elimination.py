@@ -56,7 +56,9 @@ def eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gt
 
 
 def eliminated_last(linear: gtsam.GaussianFactorGraph, key: int) -> tuple[float, float]:
-    """What all factors together say of one variable of size 1: r and d of ``(r x - d)^2``, its sigma 1 / r, step d / r.
+    """What all factors together say of one variable of size 1: r > 0 and d of ``(r x - d)^2``.
+
+    By Cholesky where that does not fail: a sigma 1 / r and a step d / r need not be exact.
 
     Raises
     ------
@@ -64,11 +66,14 @@ def eliminated_last(linear: gtsam.GaussianFactorGraph, key: int) -> tuple[float,
     """
     import gtsam
 
-    tree = eliminate(linear, gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, [key]))
+    ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, [key])
+    try:
+        tree = linear.eliminateMultifrontal(ordering)
+    except RuntimeError:  # indeterminate to Cholesky, as sound long chains may be
+        tree = eliminate(linear, ordering)
     conditional = tree[key].conditional()
-    # the last of its clique, and QR may leave either sign
     root, right = float(conditional.R()[-1, -1]), float(conditional.d()[-1])
-    return abs(root), right * np.sign(root)
+    return abs(root), right * float(np.sign(root))
 
 
 def ordering_of(linear: gtsam.GaussianFactorGraph, first: list[int] | None) -> gtsam.Ordering:
