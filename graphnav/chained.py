@@ -57,6 +57,10 @@ def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Ru
         raise ConfigError(
             f"{method} needs an IMU, and log {log.name} has none: its relative poses serve {' and '.join(METHODS)}"
         )
+    if log.uwb is not None and config.uwb.use and config.uwb.estimate_time_offset:
+        raise ConfigError(
+            f"uwb.estimate_time_offset needs an IMU, and log {log.name} has none: declare uwb.time_offset_s in log.toml"
+        )
     with stages.stage("frontend"):
         refuse_wrong_units(log, _NO_SPANS)
         problem = pose_chain(log, config, run_frontend(replace(log, odometer=None), config, _NO_SPANS))

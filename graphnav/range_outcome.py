@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.increments import npt_int
+from graphnav._observability import NOT_OBSERVABLE
+from graphnav.config import UwbConfig
 from graphnav.log import Uwb
+from graphnav.range_clock import ClockScore
 from graphnav.ranges import RangeReadings
 from graphnav.run import Calibration, RangeResiduals
 
@@ -19,6 +22,8 @@ if TYPE_CHECKING:
 _MOST, _FEWEST = 0.5, 20
 #: Declared sigmas at which a constant error is far off.
 _FAR = 4.0
+#: A clock that is off by this many sigmas is said to be, which of healthy logs one in two million is; and by so much, s.
+_CLOCK_SIGMAS, _CLOCK_S = 5.0, 0.02
 
 
 @dataclass(frozen=True)
@@ -86,3 +91,45 @@ def range_warnings(uwb: Uwb, counts: list[AnchorCount], calibration: dict[str, C
                 f" {abs(bias.value) / uwb.bias_sigma_m:.0f} times its declared sigma: check its position"
             )
     return lines
+
+
+def clock_warnings(
+    config: UwbConfig, calibration: dict[str, Calibration], moved: bool, score: ClockScore | None
+) -> list[str]:
+    """What the user should know of the ranges' clock, one line each.
+
+    Parameters
+    ----------
+    moved : whether an estimated offset still did at the end; score : where none was estimated, what the ranges say.
+    """
+    lines = []
+    found = calibration.get("uwb_time_offset")
+    if score is not None and abs(score.offset_s) > max(_CLOCK_SIGMAS * score.sigma_s, _CLOCK_S):
+        lines.append(
+            f"UWB ranges seem stamped {_amiss(score.offset_s)} against the IMU, by {_sigmas(score)} sigmas: set"
+            " uwb.estimate_time_offset = true in the configuration, or declare time_offset_s in [uwb]"
+        )
+    if found is None:
+        return lines
+    if moved:
+        lines.append("the time offset of UWB ranges still moved at the end: raise batch.bias_move_rounds")
+    if found.sigma is not None and found.sigma > NOT_OBSERVABLE * config.time_offset_sigma_s:
+        lines.append(
+            f"the time offset of UWB ranges is not observable from this motion (sigma {found.sigma:.2g} s, as assumed):"
+            " a start, a stop or a turn while ranges come in tells it"
+        )
+    if abs(found.value) > _FAR * config.time_offset_sigma_s:
+        lines.append(
+            f"UWB ranges came out stamped {_amiss(found.value)},"
+            f" {abs(found.value) / config.time_offset_sigma_s:.0f} times time_offset_sigma_s: check [uwb] time_offset_s"
+        )
+    return lines
+
+
+def _amiss(offset_s: float) -> str:
+    """A range stamped late measured the tag before its stamp."""
+    return f"{abs(offset_s):.3f} s {'late' if offset_s < 0 else 'early'}"
+
+
+def _sigmas(score: ClockScore) -> str:
+    return f"{abs(score.offset_s) / score.sigma_s:.0f}"

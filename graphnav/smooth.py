@@ -24,7 +24,7 @@ from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, UWB_METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
-from graphnav.range_outcome import anchor_counts, range_residuals, range_warnings, rejected
+from graphnav.range_outcome import anchor_counts, clock_warnings, range_residuals, range_warnings, rejected
 from graphnav.run import Diagnostics, Run
 from graphnav.scanned import with_scanned_legs
 from graphnav.solution import Solved, solve_batch, solve_isam2
@@ -57,6 +57,8 @@ def smooth(
     """
     if method not in METHODS:
         raise ConfigError(f'unknown method "{method}"; known: {", ".join(METHODS)}')
+    if method in UWB_METHODS and config is not None and config.uwb.estimate_time_offset:
+        raise ConfigError(f"{method} estimates no time offset of ranges: batch and isam2 do, or declare time_offset_s")
     stages = Stages(progress)
     log = _opened(log, stages)
     if method in ("uwb", "uwb-vbukf"):
@@ -136,6 +138,7 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     if solved.ranges is not None and problem.log.uwb is not None:
         counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
         noted += range_warnings(problem.log.uwb, counts, found)
+        noted += clock_warnings(problem.config.uwb, found, solved.clock_moved, solved.clock_score)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
     diagnostics = Diagnostics(
         method=method,

@@ -17,7 +17,7 @@ from graphnav.graph import build_graph
 from graphnav.legs import LegReadings
 from graphnav.markov_errors import slots
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import B, C, D, L, Problem, V, X
+from graphnav.problem import B, C, D, L, Problem, T, V, X
 from graphnav.ranges import RangeReadings
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.solvers.elimination import eliminate, elimination
@@ -57,12 +57,14 @@ def graph_covariances(
     Returns
     -------
     (T, 19, 19), or (T, 15, 15) without an odometer: bias and calibration are those of the interval that ends at the
-    keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`.
+    keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`; with a time offset of ranges one more.
     """
-    graph, scanner = build_graph(problem, data, legs, advances, ranges), list[int]()
+    graph, extra = build_graph(problem, data, legs, advances, ranges), list[int]()
     if legs is not None and problem.log.lidar is not None:
-        graph, scanner = graph.only_legs(legs, problem.log.lidar), [D(0)]
-    groups = {i: (*_state_keys(problem, i), *scanner) for i in keyframes}
+        graph, extra = graph.only_legs(legs, problem.log.lidar), [D(0)]
+    if ranges is not None and ranges.family.clock is not None:
+        extra.append(T(0))
+    groups = {i: (*_state_keys(problem, i), *extra) for i in keyframes}
     apart = {key for keys in groups.values() for key in keys}
     chain = None if graph.chain is None else [key for key in graph.chain if key not in apart]
     linear = graph.linearize(values)
@@ -71,7 +73,7 @@ def graph_covariances(
     else:
         found = _smoothed(problem, linear, groups, chain, progress)
     own = 15 + 4 * problem.has_calibration
-    size = own + 8 * len(scanner)
+    size = own + sum(_DIMS[key >> 56] for key in extra)
     to_n = np.zeros((len(keyframes), size, size))
     for k, i in enumerate(keyframes):
         rotation = values.atPose3(X(i)).rotation().matrix()
