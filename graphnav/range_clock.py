@@ -93,7 +93,7 @@ def clock_score(
     """
     import gtsam
 
-    wide = replace(problem, clock=RangeClock(0.0, problem.config.uwb.time_offset_sigma_s))
+    wide = replace(problem, clock=RangeClock(0.0, problem.config.uwb.time_offset_sigma_s / 2))
     family, moved_values = with_offset(wide, ranges, along).family, gtsam.Values(values)
     moved_values.insert(T(0), np.zeros(1))
     linear = replace(graph, ranges=family).linearize(moved_values)

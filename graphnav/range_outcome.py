@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _MOST, _FEWEST = 0.5, 20
 #: Declared sigmas at which a constant error is far off.
 _FAR = 4.0
-#: A clock that is off by this many sigmas is said to be, which of healthy logs one in two million is; and by so much, s.
+#: A clock off by this many sigmas, and seconds, is said to be off: by chance, one healthy log in two million.
 _CLOCK_SIGMAS, _CLOCK_S = 5.0, 0.02
 
 
