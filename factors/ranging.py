@@ -152,6 +152,10 @@ class RangeFamily:
         sigma = self.sigma_m[:, None]
         return error / self.sigma_m, {name: each / sigma for name, each in jacobians.items()}
 
+    def off(self, values: gtsam.Values) -> Array:
+        """How far each range is off (K,), in sigmas."""
+        return np.abs(self.residuals(values)[0])
+
     def _markov(self, values: gtsam.Values) -> Array:
         """What the Markov errors add (K,) m."""
         found = np.zeros(len(self.range_m))

@@ -51,11 +51,13 @@ class Record:
     """Base of everything a log is made of: frozen, validated on construction, arrays read-only.
 
     `SECTION` is the log.toml section of its parameters, `TABLE` the table of its columns (either may be
-    empty), `STRICT` whether two rows may share a time.
+    empty), `FIELD` its place in the `SensorLog` where that is not the table's name, `STRICT` whether two rows may share
+    a time.
     """
 
     SECTION: ClassVar[str] = ""
     TABLE: ClassVar[str] = ""
+    FIELD: ClassVar[str] = ""
     STRICT: ClassVar[bool] = True
     TIME: ClassVar[str] = "t_s"
 
@@ -72,6 +74,11 @@ class Record:
 
     def __len__(self) -> int:
         return len(getattr(self, self.TIME)) if self.TABLE else 1
+
+    @classmethod
+    def field_name(cls) -> str:
+        """Name of this table in the `SensorLog`."""
+        return cls.FIELD or cls.TABLE
 
     @classmethod
     def column_fields(cls) -> list[dataclasses.Field[Any]]:

@@ -46,7 +46,7 @@ def observe(
         with stages.stage("covariance") as tick:
             return of_graph(
                 problem, solved.data, solved.result.values,
-                legs=solved.legs, advances=solved.advances, ranges=solved.ranges,
+                legs=solved.legs, advances=solved.advances, ranges=solved.ranges, camera=solved.camera,
                 causal=kind == "causal", progress=tick,
             )  # fmt: skip
     from graphnav.baselines import rts

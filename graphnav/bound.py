@@ -161,7 +161,7 @@ def _graph(
 ) -> SmoothingGraph:
     """The problem, preintegrated at the biases in `values`."""
     data = preintegrate(problem, *estimated_biases(problem, values))
-    graph = build_graph(problem, data, legs, advances, _ranges(problem, solved, values))
+    graph = build_graph(problem, data, legs, advances, _ranges(problem, solved, values), solved.camera)
     lidar = problem.log.lidar
     return graph if legs is None or lidar is None else graph.only_legs(legs, lidar)
 

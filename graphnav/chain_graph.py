@@ -14,6 +14,7 @@ import numpy as np
 from factors.position import position_factor
 from factors.relative_pose import between_factor
 from factors.so3 import Array, from_quaternion, to_quaternion
+from graphnav.camera import Camera
 from graphnav.chain_problem import ChainProblem
 from graphnav.chain_ranges import SCALE, scale_prior
 from graphnav.graph import SmoothingGraph, pose_prior
@@ -53,9 +54,13 @@ def leg_readings(problem: ChainProblem, way: Trajectory) -> LegReadings | None:
 
 
 def chain_values(
-    problem: ChainProblem, way: Trajectory, readings: LegReadings | None, ranges: RangeReadings | None = None
+    problem: ChainProblem,
+    way: Trajectory,
+    readings: LegReadings | None,
+    ranges: RangeReadings | None = None,
+    camera: Camera | None = None,
 ) -> gtsam.Values:
-    """Initial values: the dead-reckoned poses, legs where they were first seen, scanner and anchors as declared."""
+    """Initial values: the dead-reckoned poses, legs and features where they were first seen, the rest as declared."""
     import gtsam
 
     values = gtsam.Values()
@@ -69,13 +74,18 @@ def chain_values(
         RangeStates.of(problem, ranges).insert(problem, values)
         if scale_prior(problem) is not None:
             values.insert(SCALE, np.zeros(1))
+    if camera is not None:
+        camera.insert(problem, values)
     return values
 
 
 def chain_graph(
-    problem: ChainProblem, readings: LegReadings | None, ranges: RangeReadings | None = None
+    problem: ChainProblem,
+    readings: LegReadings | None,
+    ranges: RangeReadings | None = None,
+    camera: Camera | None = None,
 ) -> SmoothingGraph:
-    """The initial pose, a motion between every two keyframes, known positions, legs and ranges."""
+    """The initial pose, a motion between every two keyframes, known positions, legs, ranges and tracked features."""
     import gtsam
 
     native = gtsam.NonlinearFactorGraph()
@@ -92,10 +102,15 @@ def chain_graph(
         if prior is not None:
             native.add(prior)
     family = None if ranges is None else ranges.family
+    tracks = None
+    if camera is not None and camera.tracks is not None:
+        tracks = camera.tracks.family
+        for prior in camera.beside(problem):
+            native.add(prior)
     lidar = problem.log.lidar
     if readings is None or lidar is None:
-        return SmoothingGraph(native, None, ranges=family)
+        return SmoothingGraph(native, None, ranges=family, tracks=tracks)
     lean = float(np.tan(np.radians(problem.config.lidar.lean_sigma_deg)))
     for prior in leg_priors(lidar, readings.feature, readings.place_n[:, 2], lean):
         native.add(prior)
-    return SmoothingGraph(native, None, readings.family(lidar), None, [], family)
+    return SmoothingGraph(native, None, readings.family(lidar), None, [], family, None, tracks)

@@ -11,6 +11,9 @@ from factors.increments import npt_int
 from factors.so3 import Array, to_quaternion, transpose
 from graphnav._memory import peak_bytes
 from graphnav._stages import Stages
+from graphnav.agreement import agreeing_camera, agreeing_ranges
+from graphnav.camera import Camera
+from graphnav.camera_outcome import left_out_counts
 from graphnav.chain_graph import (
     chain_graph,
     chain_values,
@@ -26,11 +29,11 @@ from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
 from graphnav.markov_errors import slots
-from graphnav.problem import A, D, X
-from graphnav.range_agreement import agreeing_ranges
+from graphnav.problem import SIZES, A, D, X
 from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
 from graphnav.solvers import batch
 from graphnav.solvers.covariance import joint_marginals
+from graphnav.tracks import track_readings
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -41,9 +44,9 @@ if TYPE_CHECKING:
 #: What takes part in a graph without an IMU.
 METHODS = ("batch", "dead-reckoning")
 _NO_SPANS = np.zeros((0, 2))
-_DIMS = {"x": 6, "l": 4, "d": 8, "a": 4, "s": 1}
+_DIMS = {**{chr(letter): size for letter, size in SIZES.items()}, "s": 1}
 #: Tables and sections that only a graph with an IMU makes use of.
-_UNUSED = {"odometer": "table odometer", "face": "section [face]", "stereo": "table stereo"}
+_UNUSED = {"odometer": "table odometer", "face": "section [face]", "stereo_pairs": "table stereo"}
 
 
 def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:
@@ -75,14 +78,20 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
     config = problem.config
     with stages.stage("assemble"):
         readings, ranges = leg_readings(problem, way), chain_readings(problem)
-        graph = chain_graph(problem, readings, ranges)
-        values = chain_values(problem, way, readings, ranges)
+        tracks = track_readings(problem)
+        camera = None if tracks is None else Camera(None, tracks)
+        graph = chain_graph(problem, readings, ranges, camera)
+        values = chain_values(problem, way, readings, ranges, camera)
     rejected: dict[str, int] = {}
     with stages.stage("solve") as tick:
         if ranges is not None and config.uwb.loss != "none":
             values, fit = agreeing_ranges(graph, config.uwb, values)
             graph = replace(graph, ranges=ranges.family.only(fit))
             rejected = rejected_by_anchor(problem, ranges.only(~fit))
+        if camera is not None:
+            values, camera, left_out = agreeing_camera(graph, config, camera, values)
+            graph = graph.seen_by(camera)
+            rejected |= left_out_counts(left_out)
         result = batch.solve(
             graph,
             values,

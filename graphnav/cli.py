@@ -120,16 +120,21 @@ def _add_import(group: Any) -> None:
     _add_log_output(parser)
     parser.add_argument("--wheel-scale", type=float, help="comma2k19: known scale-factor error of the wheels")
     parser.add_argument("--position-rate-hz", type=float, help="euroc: rate of the positions given")
-    parser.add_argument("--dataset", type=int, choices=(1, 2), help="aer1513: on a line or on a floor (default 2)")
+    parser.add_argument("--dataset", type=int, choices=(1, 2, 3), help="aer1513: line, floor (default), stereo")
     places = "aer1513: whether the tubes are surveyed (default known)"
     parser.add_argument("--landmarks", choices=("known", "unknown"), help=places)
     parser.add_argument("--interval-s", type=float, help="aer1513: least time between laser scans (default 1)")
     heading = "starloc: take the heading at the start from the reference, to this sigma"
     parser.add_argument("--heading-sigma-deg", type=float, help=heading)
+    tags = "starloc: with the stereo camera, and what it sees of AprilTags"
+    parser.add_argument("--stereo", action="store_const", const=True, help=tags)
 
 
 def _add_simulate(group: Any) -> None:
-    text = "Simulate a reference scenario, truth included: shearer-mems, full-shift, shearer-lidar, face-end-uwb."
+    text = (
+        "Simulate a reference scenario, truth included: shearer-mems, full-shift, shearer-lidar, face-end-uwb,"
+        " roadheader-stereo."
+    )
     example = "graphnav simulate shearer-mems --seed 11 -o shift/"
     parser = _command(group, "simulate", commands.simulate, text, example)
     parser.add_argument("scenario", metavar="SCENARIO")
@@ -151,6 +156,14 @@ def _add_simulate(group: Any) -> None:
     parser.add_argument("--nlos-share", type=float, metavar="X", help=delayed)
     most = "face-end-uwb: they are late by up to so much (default 3)"
     parser.add_argument("--nlos-max", "--nlos-max-m", dest="nlos_max_m", type=float, metavar="M", help=most)
+    frames = "roadheader-stereo: frames per second, 1 to 30 (default 5)"
+    parser.add_argument("--rate", "--rate-hz", dest="rate_hz", type=float, metavar="HZ", help=frames)
+    pairs = "roadheader-stereo: rendered image pairs (default: with them)"
+    parser.add_argument("--images", action=argparse.BooleanOptionalAction, help=pairs)
+    tracks = "roadheader-stereo: tracks of features drawn without images"
+    parser.add_argument("--tracks", action="store_const", const=True, help=tracks)
+    wrong = "roadheader-stereo: share of wrong matches among the tracks, 0 to less than 1"
+    parser.add_argument("--outlier-share", type=float, metavar="X", help=wrong)
 
 
 def _add_smooth(group: Any) -> None:

@@ -7,7 +7,9 @@ import importlib
 import os
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +29,7 @@ IMPORTERS = {
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
     "lego": ("graphnav.readers.lego", ()),
     "plaza": ("graphnav.readers.plaza", ()),
-    "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg",)),
+    "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg", "stereo")),
 }
 #: Formats whose data come with the gtsam package.
 _WITH_GTSAM = ("kitti-gtsam", "plaza")
@@ -76,16 +78,25 @@ def import_log(arguments: argparse.Namespace) -> None:
 
 def simulate(arguments: argparse.Namespace) -> None:
     """Simulate a scenario to a log folder."""
-    from graphnav.report.terminal import working
+    from graphnav.report.terminal import ProgressBar, working
     from graphnav.simulation import simulate as simulate_log
+    from graphnav.simulation.stereo_images import render_into
 
-    names = ("interval_m", "par", "hours", "sensors", "cycles", "scans", "draw", "site", "nlos_share", "nlos_max_m")
+    names = (
+        "interval_m", "par", "hours", "sensors", "cycles", "scans", "draw", "site", "nlos_share", "nlos_max_m",
+        "rate_hz", "images", "tracks", "outlier_share",
+    )  # fmt: skip
     given = {name: getattr(arguments, name) for name in names}
     options = {name: value for name, value in given.items() if value is not None}
     if "sensors" in options:
         options["sensors"] = tuple(name.strip() for name in options["sensors"].split(","))
     with working("simulating"):
-        _write(simulate_log(arguments.scenario, seed=arguments.seed, **options), arguments)
+        log = simulate_log(arguments.scenario, seed=arguments.seed, **options)
+    if log.stereo_pairs is None:
+        _write(log, arguments)
+        return
+    with ProgressBar() as progress:
+        _write(log, arguments, partial(render_into, arguments.scenario, arguments.seed, options, progress=progress))
 
 
 def smooth(arguments: argparse.Namespace) -> None:
@@ -267,10 +278,10 @@ def _read(path: Path) -> SensorLog:
         return read(path)
 
 
-def _write(log: SensorLog, arguments: argparse.Namespace) -> None:
+def _write(log: SensorLog, arguments: argparse.Namespace, images: Callable[[Path], None] | None = None) -> None:
     from graphnav.readers import write
 
-    write(log, arguments.output, tables=arguments.tables, overwrite=arguments.overwrite)
+    write(log, arguments.output, tables=arguments.tables, overwrite=arguments.overwrite, images=images)
     rows = ", ".join(f"{name} {len(table):,}" for name, table in log.tables().items())
     print(f"wrote {arguments.output}: {rows}", file=sys.stderr)
 

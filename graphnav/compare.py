@@ -18,7 +18,7 @@ from graphnav._stages import ProgressHook
 from graphnav.comparison import TRUTH, Comparison, Curve, MethodRow, NisBand
 from graphnav.errors import ConfigError, GraphnavError
 from graphnav.log import SensorLog, Truth
-from graphnav.methods import LEG_METHODS, METHODS, UWB_METHODS
+from graphnav.methods import LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
 
 if TYPE_CHECKING:
     from graphnav.config import Config
@@ -42,7 +42,7 @@ def compare(
     ----------
     log : a `SensorLog`, the folder of one, or the name of a scenario ("shearer-mems", "shearer-mems_interval_m=6").
         Without truth in it the first method that succeeds is what the others are compared with.
-    methods : of `graphnav.methods.METHODS`; by default all, without those for legs or ranges where a log has none.
+    methods : of `graphnav.methods.METHODS`; by default all that the log has the sensors for.
     config : choices of method, the same for all; None for the defaults.
     seeds : above zero, the scenario of the log is simulated again with the seeds 0, 1, ... seeds - 1, in worker
         processes; call it then under ``if __name__ == "__main__":``.
@@ -79,7 +79,9 @@ def _checked(methods: Sequence[str]) -> tuple[str, ...]:
 
 def _every(log: SensorLog) -> tuple[str, ...]:
     """All methods that a log has the sensors for."""
+    seen = (log.relative_pose, log.stereo_pairs, log.stereo_tracks)
     missing = (LEG_METHODS if log.lidar_points is None else ()) + (UWB_METHODS if log.uwb is None else ())
+    missing += STEREO_METHODS if all(table is None for table in seen) else ()
     return tuple(method for method in METHODS if method not in missing)
 
 

@@ -134,6 +134,47 @@ class UwbConfig(_Section):
     time_offset_sigma_s: float = Field(0.2, gt=0, description="how far d may be from zero, 1 sigma")
 
 
+class RelativePoseConfig(_Section):
+    """Motions of the camera: given as relative poses, or found from its images."""
+
+    use: bool = True
+    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
+        "geman-mcclure", description="how motions that disagree are found; none: all count in full"
+    )
+    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
+    reject_sigmas: float = Field(4.0, gt=0, description="motions that are off by more are left out in the end")
+
+
+class StereoConfig(_Section):
+    """Features that a stereo camera tracks."""
+
+    form: Literal["tight", "loose", "off"] = Field(
+        "tight", description="every feature a point of the graph, or relative poses from them; off: neither"
+    )
+    moved_px: float = Field(8.0, gt=0, description="a keyframe where features have moved this far since the last one")
+    shared: float = Field(0.6, gt=0, lt=1, description="or fewer than this share of them are still seen")
+    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
+        "geman-mcclure", description="how readings that disagree are found; none: all count in full"
+    )
+    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
+    reject_sigmas: float = Field(4.0, gt=0, description="readings that are off by more are left out in the end")
+
+
+class StereoTracksConfig(_Section):
+    """Features followed through image pairs, where the log has images and no tracks."""
+
+    features: Literal["orb", "sift"] = "orb"
+    enhance: Literal["none", "clahe", "retinex-dust"] = Field("none", description="what is done to the images before")
+    follow: Literal["flow", "descriptors"] = Field(
+        "flow", description="from frame to frame by the image around a feature, or by matching descriptors as the paper"
+    )
+    subpixel: bool = Field(True, description="places to a fraction of a pixel, by correlation with the first sight")
+    max_features: int = Field(300, ge=8, le=5000, description="features followed at a time, spread over the image")
+    min_features: int = Field(12, ge=3, description="a frame with fewer is skipped")
+    min_depth_m: float = Field(1.0, gt=0, description="nothing is nearer; it bounds the disparities looked at")
+    min_disparity_px: float = Field(0.5, ge=0, description="features farther away than this tells are left out")
+
+
 class FilterConfig(_Section):
     """The error-state Kalman filter of the methods ekf, rts and rts-online."""
 
@@ -178,6 +219,21 @@ class UwbFilterConfig(_Section):
     noise_memory_s: float = Field(10.0, gt=0, description="span over which the VB-UKF learns the noise")
 
 
+class VioFilterConfig(_Section):
+    """The stereo paper's filter, the method vio-kf.
+
+    The paper states no measurement noise. The defaults are what a camera's maker would state for a short way, 0.3 % of
+    20 m and a few tenths of a degree; no recording was looked at for them.
+    """
+
+    position_sigma_m: float = Field(0.05, gt=0, description="white error of a chained position (the paper's D_k)")
+    attitude_sigma_deg: float = Field(0.3, gt=0, description="and of a chained attitude, about each axis")
+    relative: bool = Field(
+        False,
+        description="each motion measures how the pose changed, with its own covariance; the paper chains them first",
+    )
+
+
 class DeadReckoningConfig(_Section):
     """What dead reckoning is told of the sensors' errors."""
 
@@ -198,11 +254,15 @@ class Config(_Section):
     position: PositionConfig = PositionConfig()
     lidar: LidarConfig = LidarConfig()
     uwb: UwbConfig = UwbConfig()
+    relative_pose: RelativePoseConfig = RelativePoseConfig()
+    stereo: StereoConfig = StereoConfig()
+    stereo_tracks: StereoTracksConfig = StereoTracksConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()
     lidar_filter: LidarFilterConfig = LidarFilterConfig()
     uwb_filter: UwbFilterConfig = UwbFilterConfig()
+    vio_filter: VioFilterConfig = VioFilterConfig()
     dead_reckoning: DeadReckoningConfig = DeadReckoningConfig()
     covariance: bool = Field(True, description="covariances at all keyframes")
 

@@ -12,6 +12,8 @@ _VARIABLES = {
     "c": ("the odometer calibration of epoch", "scale_sigma and mounting_sigma_deg in [odometer]"),
     "l": ("the place of leg", "lidar_points"),
     "d": ("the LiDAR calibration of epoch", "the sigmas in [lidar]"),
+    "e": ("the mounting of the camera in epoch", "T_bc_pos_sigma_m and mounting_sigma_deg in [stereo]"),
+    "p": ("the place of tracked feature", "stereo_tracks"),
     "k": ("the creep after cycle", "creep_sigma_m in [face]"),
     "t": ("the time offset of ranges", "uwb.time_offset_sigma_s"),
 }
@@ -71,7 +73,7 @@ class SolveError(GraphnavError):
     @classmethod
     def singular(cls, error: Exception) -> SolveError:
         """GTSAM's report of an indeterminate system in the user's words: which variable, and what determines it."""
-        found = re.search(r"\b([xvbcdklt])(\d+)\b|\b(\d{16,20})\b", str(error))
+        found = re.search(r"\b([xvbcdeklpt])(\d+)\b|\b(\d{16,20})\b", str(error))
         if found is None:
             return cls(f"the problem is singular: {str(error).strip().splitlines()[0]}")
         if found[1] is None:

@@ -10,12 +10,16 @@ import numpy as np
 from factors import closed_path, inertial, odometry, position, stationary
 from factors.advance import AdvanceFamily
 from factors.legs import LegFamily
+from factors.mounted_motion import MotionFamily
 from factors.noise import diagonal
 from factors.ranging import RangeFamily
 from factors.so3 import from_quaternion
+from factors.stereo_tracks import TrackFamily
+from graphnav.camera import Camera
 from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings
 from graphnav.log import InitialState, Lidar
+from graphnav.motions import MotionReadings
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
 from graphnav.ranges import RangeReadings, RangeStates
@@ -47,6 +51,17 @@ class SmoothingGraph:
     advances: AdvanceFamily | None = None
     chain: list[int] | None = None
     ranges: RangeFamily | None = None
+    motions: MotionFamily | None = None
+    tracks: TrackFamily | None = None
+
+    def seen_by(self, camera: Camera) -> SmoothingGraph:
+        """With what a camera says, or with only some of it."""
+        motions, tracks = camera.motions, camera.tracks
+        return replace(
+            self,
+            motions=None if motions is None else motions.family,
+            tracks=None if tracks is None else tracks.family,
+        )
 
     def only_legs(self, readings: LegReadings, lidar: Lidar) -> SmoothingGraph:
         """With only some of its readings; legs left without keep their variables."""
@@ -63,6 +78,10 @@ class SmoothingGraph:
             self.advances.linearize_into(linear, values)
         if self.ranges is not None:
             self.ranges.linearize_into(linear, values)
+        if self.motions is not None:
+            self.motions.linearize_into(linear, values)
+        if self.tracks is not None:
+            self.tracks.linearize_into(linear, values)
         return linear
 
 
@@ -72,6 +91,7 @@ def build_graph(
     legs: LegReadings | None = None,
     advances: AdvanceFamily | None = None,
     ranges: RangeReadings | None = None,
+    camera: Camera | None = None,
 ) -> SmoothingGraph:
     """The problem for a batch solver."""
     import gtsam
@@ -84,6 +104,10 @@ def build_graph(
     if ranges is not None:
         for _, factor in RangeStates.of(problem, ranges).factors(problem):
             native.add(factor)
+    if camera is not None:
+        for factor in camera.beside(problem):
+            native.add(factor)
+        tied.update(camera.far_keys())
     family, chain = None, None
     if legs is not None and problem.log.lidar is not None:
         family = legs.family(problem.log.lidar)
@@ -92,12 +116,15 @@ def build_graph(
             native.add(prior)
         tied.update(family.pose_key.tolist())
         chain = [key for i in range(len(problem.keyframe_s)) if X(i) not in tied for key in (V(i), X(i))]
-    return SmoothingGraph(
+    graph = SmoothingGraph(
         native, displacement_family(problem, data), family, advances, chain, None if ranges is None else ranges.family
     )
+    return graph if camera is None else graph.seen_by(camera)
 
 
-def build_factors(problem: Problem, data: Preintegrated, ranges: RangeReadings | None = None) -> list[FactorAt]:
+def build_factors(
+    problem: Problem, data: Preintegrated, ranges: RangeReadings | None = None, motions: MotionReadings | None = None
+) -> list[FactorAt]:
     """All factors one by one, in order of the last keyframe they need, for an incremental solver."""
     found = _common_factors(problem, data)
     family = displacement_family(problem, data)
@@ -106,6 +133,9 @@ def build_factors(problem: Problem, data: Preintegrated, ranges: RangeReadings |
         found += [FactorAt(j, family.factor(k)) for k, j in enumerate(last)]
     if ranges is not None:
         found += [FactorAt(*each) for each in ranges.factors(problem)]
+    if motions is not None:
+        found += [FactorAt(*each) for each in motions.factors(problem)]
+        found += [FactorAt(0, each) for each in Camera(motions, None).beside(problem)]
     return sorted(found, key=lambda f: f.keyframe)
 
 
@@ -121,7 +151,7 @@ def fed_in_blocks(problem: Problem, found: list[FactorAt], size: int) -> list[Fa
         for k in range(0, len(seconds), size):
             block = seconds[k : k + size]
             feed.update(dict.fromkeys(block, max(block)))
-    fed = [FactorAt(feed[f.keyframe], f.factor) if _crossed(f) else f for f in found]
+    fed = [FactorAt(feed[f.keyframe], f.factor) if _closes(f) else f for f in found]
     return sorted(fed, key=lambda f: f.keyframe)
 
 
@@ -129,6 +159,11 @@ def _crossed(found: FactorAt) -> list[int]:
     """Keys of the two poses that a factor ties where they are not neighbours."""
     poses = [key for key in found.factor.keys() if key >> 56 == ord("x")]
     return poses if len(poses) == 2 and poses[1] - poses[0] > 1 else []
+
+
+def _closes(found: FactorAt) -> bool:
+    """Whether it is one of the closed path, which has the odometer's calibration too."""
+    return bool(_crossed(found)) and any(key >> 56 == ord("c") for key in found.factor.keys())
 
 
 def _common_factors(problem: Problem, data: Preintegrated) -> list[FactorAt]:

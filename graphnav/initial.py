@@ -17,6 +17,7 @@ from graphnav.baselines.dead_reckoning import turned, walked
 from graphnav.frontends.alignment import aligned
 from graphnav.frontends.range_epochs import fixes_by_ranges, is_unknown, start_position
 from graphnav.log import SensorLog
+from graphnav.motions import Steps, camera_steps, stepped
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, K, Problem, V, X, creep_cycles
 
@@ -42,17 +43,19 @@ def dead_reckoning(
     fixes: tuple[tuple[float, Array, Array], ...],
     gravity_m_s2: float,
     earth_rate_n: Array,
+    camera: Steps | None = None,
 ) -> States:
     """States at all keyframes.
 
     Attitude is the gyro's. Position is, in this order of preference: the odometer's displacements; the fixes,
-    interpolated; the integrated IMU.
+    interpolated; a camera's motions; the integrated IMU.
 
     Parameters
     ----------
     motion : one minor interval for each interval between keyframes (its end), from `factors.inertial`.
     travel : odometer over the same intervals, or None.
     start : one state.
+    camera : how far a camera's motions lead, or None.
     """
     count = len(keyframe_s)
     rotation = turned(start.rotation_nb[0], motion, keyframe_s, earth_rate_n)
@@ -61,6 +64,8 @@ def dead_reckoning(
         return States(rotation, pos, vel)
     if len(fixes) >= 4:
         return _by_fixes(keyframe_s, rotation, fixes)
+    if camera is not None:
+        return States(rotation, *stepped(camera, keyframe_s, rotation, start.pos_n[0], start.vel_n[0]))
     pos, vel = np.empty((count, 3)), np.empty((count, 3))
     pos[0], vel[0] = start.pos_n[0], start.vel_n[0]
     for k in range(count - 1):
@@ -104,7 +109,7 @@ def initial_values(problem: Problem, data: Preintegrated, start: States) -> gtsa
         fixes = fixes_by_ranges(problem.log, start.rotation_nb[0]) or fixes
     states = dead_reckoning(
         problem.log, problem.keyframe_s, data.motion, data.travel, start, fixes, problem.gravity_m_s2,
-        problem.earth_rate_n,
+        problem.earth_rate_n, camera_steps(problem),
     )  # fmt: skip
     values = gtsam.Values()
     for i in range(len(problem.keyframe_s)):

@@ -13,6 +13,7 @@ from graphnav.errors import LogError
 from graphnav.frontends.cutting_cycles import ClosedPathPoint, Cycle, closed_path_points, find_cycles, mileage
 from graphnav.frontends.ranging_spans import RangingSpan, ranging_keyframes, ranging_spans
 from graphnav.frontends.rest import rest_spans
+from graphnav.frontends.views import view_times
 from graphnav.log import SensorLog
 
 #: Measurements closer than this share a keyframe (at 1 m/s it is a millimetre).
@@ -70,6 +71,10 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
         wanted += [t for c in cycles for t in (c.start_s, c.end_s) if t is not None]
     if log.imu is None and log.lidar_points is not None and log.lidar is not None and config.lidar.use:
         wanted += np.unique(log.lidar_points.t_s).tolist()
+    if log.imu is not None and log.relative_pose is not None and config.relative_pose.use:
+        wanted += log.relative_pose.t_from_s.tolist() + log.relative_pose.t_to_s.tolist()
+    if log.stereo_tracks is not None and config.stereo.form == "tight":
+        wanted += view_times(log.stereo_tracks, config.stereo.moved_px, config.stereo.shared).tolist()
     ranging = () if log.uwb is None or not config.uwb.use else ranging_spans(log.uwb, start, end)
     if log.uwb is not None:
         wanted += ranging_keyframes(log.uwb, ranging, config.keyframes.interval_s).tolist()

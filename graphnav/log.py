@@ -8,6 +8,7 @@ the reader has applied each sensor's offset.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -363,25 +364,54 @@ class Uwb(Record):
 
 @dataclass(frozen=True, eq=False)
 class Stereo(Record):
-    """Rectified stereo pairs (paths relative to the log folder); the left camera is c."""
+    """The rectified stereo camera; its left camera is c.
+
+    `sigma_px` is the 1-sigma error of a feature's column or row in one image. The camera sits in the body as declared
+    but for errors of `T_bc_pos_sigma_m` (b) and angles of `mounting_sigma_deg` (``R_bc = R(T_bc_quat) Exp(angles)``,
+    about c's axes); zero: as declared.
+    """
 
     SECTION: ClassVar[str] = "stereo"
-    TABLE: ClassVar[str] = "stereo"
-    t_s: Array = column("t_s")
-    left: Any = column("left", kind="str")
-    right: Any = column("right", kind="str")
     fx_px: float = param(positive=True)
     fy_px: float = param(positive=True)
     cx_px: float = param()
     cy_px: float = param()
     baseline_m: float = param(positive=True)
+    sigma_px: float = param(0.5, positive=True)
     T_bc_pos_m: Array = param((0.0, 0.0, 0.0), shape=(3,))
     T_bc_quat_wxyz: Array = param((0.7071067811865476, -0.7071067811865476, 0.0, 0.0), shape=(4,))
+    T_bc_pos_sigma_m: Array = param((0.0, 0.0, 0.0), shape=(3,), nonnegative=True)
+    mounting_sigma_deg: Array = param((0.0, 0.0, 0.0), shape=(3,), nonnegative=True)
     time_offset_s: float = param(0.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         unit_quaternion(self, "T_bc_quat_wxyz")
+
+
+@dataclass(frozen=True, eq=False)
+class StereoPairs(Record):
+    """Rectified image pairs: paths relative to `folder`, that of the log (None: a log that was not read from one)."""
+
+    TABLE: ClassVar[str] = "stereo"
+    FIELD: ClassVar[str] = "stereo_pairs"
+    t_s: Array = column("t_s")
+    left: Any = column("left", kind="str")
+    right: Any = column("right", kind="str")
+    folder: Path | None = field(default=None, compare=False)  # where it was read from, no part of what it says
+
+
+@dataclass(frozen=True, eq=False)
+class StereoTracks(Record):
+    """Places of features in rectified image pairs; `track` is an integer that stands for one point at rest."""
+
+    TABLE: ClassVar[str] = "stereo_tracks"
+    STRICT: ClassVar[bool] = False
+    t_s: Array = column("t_s")
+    track: Any = column("track", kind="int")
+    u_left_px: Array = column("u_left_px")
+    u_right_px: Array = column("u_right_px")
+    v_px: Array = column("v_px")
 
 
 @dataclass(frozen=True, eq=False)
@@ -426,6 +456,8 @@ class SensorLog:
     lidar_scans: LidarScans | None = None
     uwb: Uwb | None = None
     stereo: Stereo | None = None
+    stereo_pairs: StereoPairs | None = None
+    stereo_tracks: StereoTracks | None = None
     relative_pose: RelativePose | None = None
     truth: Truth | None = None
 
@@ -436,7 +468,8 @@ class SensorLog:
         "lidar_points",
         "lidar_scans",
         "uwb",
-        "stereo",
+        "stereo_pairs",
+        "stereo_tracks",
         "position",
     )
 
@@ -450,7 +483,7 @@ class SensorLog:
 
     def tables(self) -> dict[str, Record]:
         """The tables that this log has, by name."""
-        records = {name: getattr(self, name) for name in TABLES}
+        records = {name: getattr(self, cls.field_name()) for name, cls in TABLES.items()}
         return {name: record for name, record in records.items() if record is not None}
 
 
@@ -458,9 +491,10 @@ class SensorLog:
 TABLES: dict[str, type[Record]] = {
     cls.TABLE: cls
     for cls in (
-        Imu, Odometer, Events, Push, LidarPoints, LidarScans, Uwb, Stereo, RelativePose, Position, Truth,
+        Imu, Odometer, Events, Push, LidarPoints, LidarScans, Uwb, StereoPairs, StereoTracks, RelativePose, Position,
+        Truth,
     )
 }  # fmt: skip
 
 #: log.toml section -> class, for the sections that stand without a table.
-SECTIONS: dict[str, type[Record]] = {cls.SECTION: cls for cls in (Frames, InitialState, Face, Lidar)}
+SECTIONS: dict[str, type[Record]] = {cls.SECTION: cls for cls in (Frames, InitialState, Face, Lidar, Stereo)}

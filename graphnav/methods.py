@@ -14,6 +14,9 @@ METHODS = {
     "uwb-vbukf": "the same, smoothed by the IMU/UWB paper's adaptive filter",
     "imu-uwb": "the IMU/UWB paper's Kalman filter: squared ranges and no odometer",
     "imu-uwb-vbukf": "the same, its positions smoothed by the paper's adaptive filter",
+    "sins": "inertial navigation alone, aligned where it starts at rest",
+    "stereo": "stereo odometry alone: its motions laid one behind the other",
+    "vio-kf": "the stereo paper's Kalman filter: inertial navigation less chained stereo odometry",
     "dead-reckoning": "the gyro's attitude and the odometer's distance",
     "dead-reckoning-cpoem": "dead reckoning corrected at closed-path points",
 }
@@ -22,3 +25,5 @@ GRAPH_METHODS = ("batch", "isam2")
 LEG_METHODS = ("lidar-ekf",)
 #: What is of no use without UWB ranges.
 UWB_METHODS = ("uwb", "uwb-vbukf", "imu-uwb", "imu-uwb-vbukf")
+#: What is of no use without motions from a camera, and what they are compared with in the stereo paper.
+STEREO_METHODS = ("sins", "stereo", "vio-kf")

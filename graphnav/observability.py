@@ -14,6 +14,7 @@ from factors.so3 import Array, from_quaternion
 from graphnav._directions import CLOCK_STATE, FACE_STATES, LIDAR_STATES, STATES, Direction, State
 from graphnav._observability import Observability, analyse
 from graphnav.baselines.states import unpacked
+from graphnav.camera import Camera
 from graphnav.leg_priors import lidar_free, lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.preintegration import Preintegrated
@@ -50,6 +51,7 @@ def of_graph(
     legs: LegReadings | None = None,
     advances: AdvanceFamily | None = None,
     ranges: RangeReadings | None = None,
+    camera: Camera | None = None,
     causal: bool = False,
     count: int | None = None,
     progress: Progress | None = None,
@@ -61,7 +63,7 @@ def of_graph(
     problem, data, values : as solved. The papers' absolute closed-path priors are not part of the graph: they count
         information twice.
     legs, advances : the readings of LiDAR legs that it was solved with, and pairs of them.
-    ranges : the UWB ranges that it was solved with.
+    ranges : the UWB ranges that it was solved with; camera : what the camera said.
     causal : False takes each state from the whole log, True from the log up to its time.
     count : keyframes to look at; None for 200 evenly spread, or 40 where causal (each costs an elimination), closer
         together at the start, where most is learnt.
@@ -73,7 +75,7 @@ def of_graph(
     keyframes = _spread(problem, count or 40, 2) if causal else _spread(problem, count or 200, 1)
     covariance = graph_covariances(
         problem, data, values, keyframes,
-        legs=legs, advances=advances, ranges=ranges, causal=causal, progress=progress,
+        legs=legs, advances=advances, ranges=ranges, camera=camera, causal=causal, progress=progress,
     )  # fmt: skip
     pos_n = np.array([values.atPose3(X(i)).translation() for i in range(len(problem.keyframe_s))])
     kind = "causal" if causal else "smoothed"

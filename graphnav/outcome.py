@@ -12,9 +12,11 @@ from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.log import Lidar, UwbAnchor
 from graphnav.markov_errors import slots
-from graphnav.problem import A, B, C, D, K, Problem, T, V, X, creep_cycles
+from graphnav.mounting import mounting_sigmas
+from graphnav.problem import SIZES, A, B, C, D, E, K, Problem, T, V, X, creep_cycles
 from graphnav.run import (
     ACCEL_NAMES,
+    CAMERA_NAMES,
     DEG_H,
     GYRO_NAMES,
     LIDAR_NAMES,
@@ -33,9 +35,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     import gtsam
-
-#: Sizes of the variables by the letter of their key; the Markov errors of ranges have that of the problem.
-_DIMS = {ord(letter): size for letter, size in zip("xvbckldat", (6, 3, 6, 4, 1, 4, 8, 4, 1), strict=True)}
 
 #: Share of the detections that may be left out without a word, and sigmas at which a calibration is far off.
 _FEW, _FAR = 1e-3, 6.0
@@ -61,13 +60,15 @@ def covariances(
         groups[A(a)] = (A(a),)
     if result.values.exists(T(0)):
         groups[T(0)] = (T(0),)
+    if result.values.exists(E(0)):
+        groups[E(0)] = (E(0),)
     assert result.bayes_tree is not None
     return joint_marginals(result.bayes_tree, result.order, _size(problem), groups, progress)
 
 
 def _size(problem: Problem) -> Callable[[int], int]:
     """Size of the variable of a key."""
-    sizes = _DIMS | {ord("m"): slots(problem)}
+    sizes = SIZES | {ord("m"): slots(problem)}
     return lambda key: sizes[key >> 56]
 
 
@@ -158,6 +159,12 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
         put(A(a), values.atVector(A(a)), anchor_names(problem.log.uwb.anchor[a]))
     if values.exists(T(0)):
         put(T(0), values.atVector(T(0)), [("uwb_time_offset", 1.0, "s")])
+    if values.exists(E(0)):
+        assert problem.log.stereo is not None
+        put(E(0), values.atVector(E(0)), CAMERA_NAMES)
+        for (name, _, _), sigma in zip(CAMERA_NAMES, mounting_sigmas(problem.log.stereo), strict=True):
+            if not sigma:
+                del found[name]
     for c in creep_cycles(problem):
         put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
     return found
@@ -244,8 +251,6 @@ def warnings(problem: Problem, biases_moved: bool) -> list[str]:
         found.append("the table lidar_points is not used: declare the scanner in a section [lidar]")
     if log.uwb is not None and log.uwb.scale_sigma is not None:
         found.append("uwb.scale_sigma is not used beside an IMU: ranges count as they are")
-    if log.relative_pose is not None:
-        found.append("the table relative_pose is not used beside an IMU")
     if biases_moved:
         found.append("the biases still moved after the last preintegration: raise batch.bias_move_rounds")
     return found

@@ -15,13 +15,14 @@ from types import ModuleType
 from factors.so3 import Array, to_quaternion
 from graphnav._memory import peak_bytes
 from graphnav._stages import ProgressHook, Stages
+from graphnav.camera_outcome import camera_warnings, left_out_counts
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.rest import rest_spans
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
-from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, UWB_METHODS
+from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.range_outcome import anchor_counts, clock_warnings, range_residuals, range_warnings, rejected
@@ -65,6 +66,10 @@ def smooth(
         from graphnav.ranged import run_ranges
 
         return run_ranges(log, config or Config(), method, stages)
+    if method == "stereo":
+        from graphnav.stereo_filtered import run_stereo
+
+        return run_stereo(log, config or Config(), stages)
     if log.imu is None and log.relative_pose is not None:
         from graphnav.chained import run_chain
 
@@ -80,6 +85,10 @@ def smooth(
         from graphnav.ranged import run_range_filter
 
         return run_range_filter(problem, method, stages)
+    if method in STEREO_METHODS:
+        from graphnav.stereo_filtered import run_vio
+
+        return run_vio(problem, method, stages)
     from graphnav.filtered import run_baseline
 
     return run_baseline(problem, method, stages)
@@ -140,6 +149,10 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         noted += range_warnings(problem.log.uwb, counts, found)
         noted += clock_warnings(problem.config.uwb, found, solved.clock_moved, solved.clock_score)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
+    left_out = rejected(counts)
+    if solved.camera is not None and solved.camera_left_out is not None:
+        noted += camera_warnings(problem, solved.camera, solved.camera_left_out)
+        left_out |= left_out_counts(solved.camera_left_out)
     diagnostics = Diagnostics(
         method=method,
         converged=solved.result.converged,
@@ -147,7 +160,7 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         keyframes=count,
         seconds=stages.total(),
         peak_rss_mb=peak_bytes() / 1e6,
-        rejected=rejected(counts),
+        rejected=left_out,
         warnings=noted,
         history=steps,
     )

@@ -15,16 +15,18 @@ from factors.position import position_factor
 from factors.so3 import Array
 from graphnav._memory import release
 from graphnav._stages import Stages
+from graphnav.agreement import agreeing_camera, agreeing_ranges
+from graphnav.camera import Camera, camera_readings
 from graphnav.frontends.range_epochs import is_unknown, start_position
 from graphnav.graph import FactorAt, SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
+from graphnav.motions import motion_readings
 from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, RangeClock, T, X
-from graphnav.range_agreement import agreeing_ranges
 from graphnav.range_clock import ClockScore, clock_score, estimates_clock, moved, offset_in, settled
 from graphnav.range_rounds import on_the_clock, posed_ranges
 from graphnav.ranges import RangeReadings, range_readings, uses_ranges
@@ -54,6 +56,7 @@ class Solved:
     clock_score : what the ranges say of a time offset that is no variable, or None.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
+    camera : what the camera said that was used, or None; camera_left_out : what disagreed.
     advances : pairs of legs tied by the push of their support, or None.
     causal : the states that an incremental solver knew from the past alone, or None.
     """
@@ -65,6 +68,8 @@ class Solved:
     legs_left_out: LegReadings | None = None
     ranges: RangeReadings | None = None
     ranges_left_out: RangeReadings | None = None
+    camera: Camera | None = None
+    camera_left_out: Camera | None = None
     advances: AdvanceFamily | None = None
     causal: States | None = None
     clock_moved: bool = False
@@ -94,7 +99,8 @@ def _roughly(
     known leads metres aside, where ranges to anchors near one plane put the machine on its other side.
     """
     with stages.stage("assemble"):
-        graph = build_graph(problem, data, ranges=posed_ranges(problem, data, values) if ranges else None)
+        heard = posed_ranges(problem, data, values) if ranges else None
+        graph = build_graph(problem, data, ranges=heard, camera=_camera_readings(problem, values))
     with stages.stage("solve"):
         most = problem.config.batch.max_iterations
         return batch.solve(graph, values, max_iterations=most, tolerance_sigma=_ROUGH_SIGMAS, exact=False).values
@@ -106,7 +112,7 @@ def solve_isam2(problem: Problem, stages: Stages) -> Solved:
         start, gyro_bias = start_state(problem)
         data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
         ranges = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
-        factors = _near_the_start(problem, start) + build_factors(problem, data, ranges)
+        factors = _near_the_start(problem, start) + build_factors(problem, data, ranges, motion_readings(problem))
     with stages.stage("solve") as tick:
         passed = incremental.solve(problem, data, factors, start, problem.config.isam2, tick)
         del factors
@@ -156,7 +162,8 @@ def _solve_rounds(
             readings = _leg_readings(problem, data, values)
             advances = None if readings is None else leg_advances(problem, readings, values)
             ranges, ranges_left_out = posed_ranges(problem, data, values, along), None
-            graph = build_graph(problem, data, readings, advances, ranges)
+            camera, camera_left_out = _camera_readings(problem, values), None
+            graph = build_graph(problem, data, readings, advances, ranges, camera)
             for factor in predicted:
                 graph.native.add(factor)
         with stages.stage("solve") as tick:
@@ -164,6 +171,9 @@ def _solve_rounds(
                 values, fit = agreeing_ranges(graph, problem.config.uwb, values)
                 ranges_left_out, ranges = ranges.only(~fit), ranges.only(fit)
                 graph = replace(graph, ranges=ranges.family)
+            if camera is not None:
+                values, camera, camera_left_out = agreeing_camera(graph, problem.config, camera, values)
+                graph = graph.seen_by(camera)
             result = _solved(problem, graph, values, tick, _COMPROMISE if readings is not None else None)
             if problem.config.closed_path.form == "absolute" and not predicted:
                 result = absolute.solve_cycle_by_cycle(problem, graph, result)
@@ -194,7 +204,7 @@ def _solve_rounds(
             )
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
     return Solved(
-        result, data, better, readings, left_out, ranges, ranges_left_out, advances,
+        result, data, better, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances,
         clock_moved=clock_moved, clock=problem.clock, clock_score=score,
     )  # fmt: skip
 
@@ -230,6 +240,14 @@ def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -
         if not values.exists(L(j)):
             values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
     return readings
+
+
+def _camera_readings(problem: Problem, values: gtsam.Values) -> Camera | None:
+    """What the camera says, whose variables are added to the values."""
+    camera = camera_readings(problem)
+    if camera is not None:
+        camera.insert(problem, values)
+    return camera
 
 
 def _preintegrate(

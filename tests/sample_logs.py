@@ -100,15 +100,16 @@ def every_sensor_log() -> gl.SensorLog:
             tag=tags,
             anchor=anchors,
         ),
-        stereo=gl.Stereo(
-            t_s=t,
-            left=["left/0.png", "left/1.png", "left/2,b.png"],
-            right=["r0.png", "r1.png", "r2.png"],
-            fx_px=212.0,
-            fy_px=212.0,
-            cx_px=212.0,
-            cy_px=120.0,
-            baseline_m=0.095,
+        stereo=gl.Stereo(fx_px=212.0, fy_px=212.0, cx_px=212.0, cy_px=120.0, baseline_m=0.095),
+        stereo_pairs=gl.StereoPairs(
+            t_s=t, left=["left/0.png", "left/1.png", "left/2,b.png"], right=["r0.png", "r1.png", "r2.png"]
+        ),
+        stereo_tracks=gl.StereoTracks(
+            t_s=[0.1, 0.1, 0.2],
+            track=[7, 8, 7],
+            u_left_px=rng.normal(size=3),
+            u_right_px=rng.normal(size=3),
+            v_px=rng.normal(size=3),
         ),
         relative_pose=gl.RelativePose(
             t_from_s=[0.1, 0.1],

@@ -161,7 +161,7 @@ def test_no_matlab_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"dataset": 3}, "dataset 3 of aer1513, expected 1 or 2"),
+        ({"dataset": 4}, "dataset 4 of aer1513, expected 1, 2 or 3"),
         ({"landmarks": "some"}, 'landmarks "some", expected "known" or "unknown"'),
         ({"interval_s": 0.0}, "interval_s 0.0, expected a time above zero"),
     ],

@@ -23,7 +23,7 @@ from graphnav.comparison import COLUMNS, Comparison, Curve, MethodRow, NisBand
 from graphnav.config import Config
 from graphnav.errors import ConfigError, GraphnavError, LogError, SolveError
 from graphnav.evaluation import evaluate
-from graphnav.methods import LEG_METHODS, METHODS, UWB_METHODS
+from graphnav.methods import LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
 from graphnav.readers import write
 from graphnav.report import comparison as report
 from graphnav.simulation import SCENARIOS, simulate
@@ -155,7 +155,8 @@ def test_methods_are_checked_before_the_work() -> None:
     with pytest.raises(ConfigError, match="no method given"):
         compare("nowhere", [])
     assert compare_module._checked(["batch", "ekf", "batch"]) == ("batch", "ekf")
-    assert compare_module._every(simulated(SHORT, 0)) == tuple(m for m in METHODS if m not in LEG_METHODS + UWB_METHODS)
+    unserved = LEG_METHODS + UWB_METHODS + STEREO_METHODS
+    assert compare_module._every(simulated(SHORT, 0)) == tuple(m for m in METHODS if m not in unserved)
 
 
 def test_logs_by_folder_and_by_name(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from graphnav.log import Frames, RelativePose, SensorLog, Stereo
 from graphnav.readers.wheels import FLOOR_M, FLOOR_RAD, upright, wheel_motions
 
 STEREO = Stereo(
-    t_s=[0.0], left=["l.png"], right=["r.png"], fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, baseline_m=0.1,
+    fx_px=1.0, fy_px=1.0, cx_px=0.0, cy_px=0.0, baseline_m=0.1,
     T_bc_pos_m=[0.1, 0.5, 0.2], T_bc_quat_wxyz=[1.0, 0.0, 0.0, 0.0],
 )  # fmt: skip
 

@@ -53,6 +53,10 @@ FLOORS = (
     },
     {
         "graphnav.graph",
+        "graphnav.camera",
+        "graphnav.motions",
+        "graphnav.mounting",
+        "graphnav.tracks",
         "graphnav.chain_graph",
         "graphnav.chain_problem",
         "graphnav.chain_ranges",
@@ -71,7 +75,7 @@ FLOORS = (
         "graphnav.solvers",
         "graphnav.observability",
         "graphnav.leg_agreement",
-        "graphnav.range_agreement",
+        "graphnav.agreement",
         "graphnav.range_clock",
     },
     {
@@ -82,6 +86,7 @@ FLOORS = (
         "graphnav.filtered",
         "graphnav.leg_filtered",
         "graphnav.ranged",
+        "graphnav.stereo_filtered",
         "graphnav.chained",
         "graphnav.analysis",
         "graphnav.compare",
@@ -91,6 +96,7 @@ FLOORS = (
         "graphnav.creep",
         "graphnav.range_outcome",
         "graphnav.range_rounds",
+        "graphnav.camera_outcome",
     },
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )

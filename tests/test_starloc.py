@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_aer1513_stereo import seen_pixels
 
 import graphnav as gn
 from benchmarks._starloc import DATA, RECORDINGS, shared_constants
@@ -17,7 +18,9 @@ from graphnav.errors import LogError
 from graphnav.evaluation import evaluate
 from graphnav.log import SensorLog
 from graphnav.readers import read, starloc, write
+from graphnav.readers.named_csv import NamedCsv
 from graphnav.run import Run
+from graphnav.trajectory import Trajectory
 
 TABLES = ("imu.csv", "uwb.csv")
 
@@ -161,6 +164,95 @@ def test_other_folders_are_refused(tmp_path: Path) -> None:
         starloc.convert(tmp_path)
     with pytest.raises(LogError, match="needs a source folder"):
         starloc.convert(None)
+
+
+# The camera -------------------------------------------------------------------------------------------------
+
+
+@cache
+def with_camera(source: Path) -> SensorLog:
+    return starloc.convert(source, stereo=True)
+
+
+def tag_places(recordings: Path, name: str) -> dict[int, np.ndarray]:
+    """Where the motion capture has the tags, in n."""
+    file = recordings / "mocap" / {RECORDINGS[0]: "environment_v1.csv", RECORDINGS[1]: "environment_v3.csv"}[name]
+    level = starloc._level(np.array(starloc._SETUPS[name].up_room))
+    table = NamedCsv(file)
+    numbers = table.column("april_id").astype(int).tolist()
+    return dict(zip(numbers, table.columns("x", "y", "z") @ level.T, strict=True))
+
+
+def off_px(recordings: Path, name: str, later_s: float = 0.0) -> np.ndarray:
+    """(K, 3) columns, disparities and rows of tags less those by the truth, where it is not far in time."""
+    found, places = with_camera(recordings / name), tag_places(recordings, name)
+    tracks, truth = found.stereo_tracks, found.truth
+    t_s = tracks.t_s + later_s
+    after = np.clip(np.searchsorted(truth.t_s, t_s), 1, len(truth) - 1)
+    near = (truth.t_s[after] - truth.t_s[after - 1] < 0.05) & (t_s > truth.t_s[0]) & (t_s < truth.t_s[-1])
+    t_s, numbers = t_s[near], tracks.track[near]
+    states = Trajectory(truth.t_s, truth.pos_n_m, truth.quat_nb, np.gradient(truth.pos_n_m, truth.t_s, axis=0))
+    times, which = np.unique(t_s, return_inverse=True)
+    poses = states.at(times)
+    expected = seen_pixels(
+        poses.rotation_nb[which], poses.pos_n[which], np.array([places[k] for k in numbers.tolist()]), found
+    )
+    seen = np.column_stack([tracks.u_left_px, tracks.u_right_px, tracks.v_px])[near]
+    off = seen - expected
+    return np.column_stack([off[:, 0], off[:, 0] - off[:, 1], off[:, 2]])
+
+
+@pytest.mark.parametrize(("name", "count", "tags"), [(RECORDINGS[0], 136, 17), (RECORDINGS[1], 198, 31)])
+def test_tags_are_where_the_reference_has_them(recordings: Path, name: str, count: int, tags: int) -> None:
+    """Mounting by the factory on the IMU's turn, which is known to half a degree: 10 px or so.
+
+    A camera that hangs the other way, or whose place is that of `tf_cam_rig`, is off by hundreds.
+    """
+    tracks = with_camera(recordings / name).stereo_tracks
+    assert len(tracks) == count and len(np.unique(tracks.track)) == tags
+    off = off_px(recordings, name)
+    assert len(off) > 0.85 * count
+    assert (np.abs(np.median(off, axis=0)) < [15.0, 1.5, 10.0]).all()
+    spread = 1.4826 * np.median(np.abs(off - np.median(off, axis=0)), axis=0)
+    assert (spread < [8.0, 0.8, 8.0]).all()
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_clock_of_the_images(recordings: Path, name: str) -> None:
+    """Columns scatter more by poses 30 ms earlier or later."""
+
+    def spread(later_s: float) -> float:
+        off = off_px(recordings, name, later_s)[:, 0]
+        return float(np.median(np.abs(off - np.median(off))))
+
+    assert spread(0.0) < 0.75 * min(spread(-0.03), spread(0.03))
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_declared_sigma_of_a_pixel_is_about_that_of_the_rows(recordings: Path, name: str) -> None:
+    table = NamedCsv(recordings / name / "apriltag_cal_global.csv")
+    rows = table.column("left_v") - table.column("right_v")
+    assert 0.5 < np.sqrt((rows**2).mean() / 2) / with_camera(recordings / name).stereo.sigma_px < 1.5
+
+
+def test_the_camera_is_there_on_demand_and_changes_nothing_else(recordings: Path) -> None:
+    plain, full = (found(recordings / RECORDINGS[0]) for found in (log, with_camera))
+    assert plain.stereo is None and plain.stereo_tracks is None
+    np.testing.assert_array_equal(plain.imu.gyro_b_rad_s, full.imu.gyro_b_rad_s)
+    np.testing.assert_array_equal(plain.uwb.range_m, full.uwb.range_m)
+
+
+def test_a_damaged_calibration_is_named(recordings: Path, tmp_path: Path) -> None:
+    source = copied(recordings, tmp_path)
+    shutil.copy(recordings / RECORDINGS[1] / "apriltag_cal_global.csv", source)
+    with pytest.raises(LogError, match=r"calib\.json.*no such file"):
+        starloc.convert(source, stereo=True)
+    (source / "calib.json").write_text('{"fu": 1000.0}')
+    with pytest.raises(LogError, match=r"calib\.json.*fv.*missing"):
+        starloc.convert(source, stereo=True)
+    (source / "calib.json").write_text("fu: 1000")
+    with pytest.raises(LogError, match=r"calib\.json.*no calibration"):
+        starloc.convert(source, stereo=True)
 
 
 # What the graph makes of it ---------------------------------------------------------------------------------

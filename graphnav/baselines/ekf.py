@@ -22,14 +22,12 @@ from graphnav.baselines.innovations import Innovations
 from graphnav.baselines.inputs import Inputs, Preset
 from graphnav.baselines.measurements import FirstPass, Rows
 from graphnav.baselines.plan import Advance, advances, fixes, odometer_plan, prior_covariance, walks
-from graphnav.baselines.states import PHI, POS, SIZE, VEL, Nominal
+from graphnav.baselines.states import PHI, POS, SIZE, VEL, Nominal, refuse_divergence
 from graphnav.baselines.tape import AdjointMaps, Estimates
-from graphnav.errors import SolveError
 
 Progress = Callable[[float, float], None]
 
-#: No machine is as fast; a filter that says so is lost.
-_FASTEST_M_S = 1000.0
+_SUSPECT = "the imu table before that time, and check the declared initial attitude and sigmas"
 #: Keyframes after which memory that is not needed now is let go.
 _RELEASE_EVERY = 2000
 
@@ -107,7 +105,10 @@ class Filter:
         """From keyframe i-1 to keyframe i: navigate, measure, filter, feed back."""
         epoch_s, samples = self._epochs(i)
         resting = bool(self._resting[i - 1])
-        rotations, velocities, positions, blocks, noise = self._navigate(i, epoch_s, resting)
+        rotations, velocities, positions, blocks, noise = strapdown.navigate(
+            self.inputs, self.nominal, float(self.inputs.keyframe_s[i - 1]), epoch_s, self._walks[resting],
+            resting=resting, noise_scale=self.preset.noise_scale,
+        )  # fmt: skip
         ahead = self.nominal.moved(rotations[-1], velocities[-1], positions[-1])
         rows = self._measure(i, epoch_s, samples, rotations, velocities, ahead, resting)
         x = np.zeros(SIZE)
@@ -118,21 +119,13 @@ class Filter:
             self.maps is not None, a, c, big_c,
         )  # fmt: skip
         self.nominal = ahead.corrected(x)
-        self._refuse_divergence(i)
+        refuse_divergence(self.nominal, float(self.inputs.keyframe_s[i]), _SUSPECT)
         reset = fed_back(ahead, self.nominal)
         self.covariance = reset @ self.covariance @ reset.T
         if self.maps is not None:
             self.maps.put(i - 1, reset @ a, c, big_c)
         self._kept.append((epoch_s[rows.epoch], rows.kind, innovation, variance))
         self._store(i, self.nominal)
-
-    def _refuse_divergence(self, i: int) -> None:
-        speed = float(np.abs(self.nominal.vel_n).max())
-        if not (speed < _FASTEST_M_S and np.isfinite(self.nominal.rotation_nb).all()):
-            raise SolveError(
-                f"the filter diverged at {self.inputs.keyframe_s[i]:.1f} s (speed {speed:.3g} m/s): look for wild"
-                " values in the imu table before that time, and check the declared initial attitude and sigmas"
-            )
 
     def _epochs(self, i: int) -> tuple[Array, npt_int]:
         """Epochs of an interval (odometer samples and the keyframe at its end), and the odometer rows among them."""
@@ -145,22 +138,6 @@ class Filter:
         if end - times[-1] < 1e-6:
             return np.append(times[:-1], end), samples
         return np.append(times, end), samples
-
-    def _navigate(self, i: int, epoch_s: Array, resting: bool) -> tuple[Array, Array, Array, Array, Array]:
-        inputs, n, count = self.inputs, self.nominal, len(epoch_s)
-        samples, start = inputs.imu.samples, float(inputs.keyframe_s[i - 1])
-        rotations, velocities, positions = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
-        blocks, force = np.empty((count, strapdown.BLOCKS, 3, 3)), np.empty((count, 3))
-        strapdown.advance(
-            samples.edge_s, samples.gyro_b, samples.accel_b, start, epoch_s, n.rotation_nb, n.vel_n, n.pos_n,
-            n.gyro_bias_b, n.accel_bias_b, inputs.gravity_m_s2, inputs.earth_rate_n, resting,
-            rotations, velocities, positions, blocks, force,
-        )  # fmt: skip
-        bounds = np.concatenate([[start], epoch_s])
-        gyro, accel = inputs.imu.densities(bounds, inputs.noise.gyro_density, inputs.noise.accel_density)
-        noise, scale = np.empty((count, SIZE, SIZE)), self.preset.noise_scale
-        kalman.process_noise(force, np.diff(bounds), gyro * scale, accel * scale, self._walks[resting], resting, noise)
-        return rotations, velocities, positions, blocks, noise
 
     def _measure(
         self, i: int, epoch_s: Array, samples: npt_int, rotations: Array, velocities: Array, ahead: Nominal,
@@ -183,26 +160,12 @@ class Filter:
                 )
             )
         if resting:
-            parts.append(self._rest_rows(i, ahead, rotations, velocities, last))
+            parts.append(measure.rest_rows(inputs, i, ahead, rotations, velocities, last // 2))
         for first, advance in self._closing.get(i, ()):
             parts.append(self._closed_path_rows(first, advance, ahead, last))
         for pos_n, sigma_n in self._fixes.get(i, ()):
             parts.append(measure.position_rows(ahead, pos_n, sigma_n, last))
         return measure.joined(parts)
-
-    def _rest_rows(self, i: int, ahead: Nominal, rotations: Array, velocities: Array, last: int) -> Rows:
-        """At rest the position stays within a sigma, so the mean velocity, that of the middle, is zero within it."""
-        inputs = self.inputs
-        start, end = float(inputs.keyframe_s[i - 1]), float(inputs.keyframe_s[i])
-        rate, rate_sigma = inputs.imu.samples.mean_rate(start, end), inputs.noise.gyro_density / np.sqrt(end - start)
-        rest, middle = inputs.config.rest, last // 2
-        velocity_sigma = min(rest.velocity_sigma_m_s, rest.position_sigma_m / (end - start))
-        return measure.joined(
-            [
-                measure.zero_velocity_rows(rotations[middle], velocities[middle], velocity_sigma, middle),
-                measure.zero_rate_rows(ahead, rate, float(rate_sigma), inputs.earth_rate_n, last),
-            ]
-        )
 
     def _closed_path_rows(self, first: int, advance: Advance, ahead: Nominal, epoch: int) -> Rows:
         """Sideways and upward the push tells; along the face the machine's stops do, or in the paper every point."""

@@ -15,20 +15,18 @@ from factors import so3
 from factors.increments import npt_int
 from factors.landmark import seen_leg
 from factors.so3 import Array, from_quaternion
-from graphnav.baselines import kalman, strapdown
+from graphnav.baselines import strapdown
 from graphnav.baselines.ekf import Progress
 from graphnav.baselines.innovations import Innovations
 from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.leg_choice import FRESH, MEASURED, Selection, choose
 from graphnav.baselines.leg_measurements import INERTIAL, KINDS, interval, leg, leg_rows
 from graphnav.baselines.plan import prior_covariance, walks
-from graphnav.baselines.states import PHI, POS, SIZE, VEL, Nominal
+from graphnav.baselines.states import PHI, POS, SIZE, VEL, Nominal, refuse_divergence
 from graphnav.baselines.tape import Estimates
-from graphnav.errors import SolveError
 
 #: A leg in use is given up when it seems nearer than it may by this many sigmas of the range.
 _MARGIN_SIGMAS = 5.0
-_FASTEST_M_S = 1000.0
 _RELEASE_EVERY = 2000
 
 
@@ -107,14 +105,18 @@ class LegFilter:
         """From keyframe i-1 to keyframe i: navigate, measure, filter, feed back."""
         low, high = self._bound[i - 1], self._bound[i]
         epoch_s, status, readings = self._scans(i, low, high)
-        rotations, velocities, positions, blocks, noise = self._navigate(i, epoch_s)
+        rotations, velocities, positions, blocks, noise = strapdown.navigate(
+            self.inputs, self.nominal, float(self.inputs.keyframe_s[i - 1]), epoch_s, self._walks, resting=False
+        )
         place_n = self._follow(rotations, positions, status, readings)
         s = self.scanner
         h, z = leg_rows(rotations, positions, place_n, *readings, s.sigma, s.rotation_bs, s.lever_arm_b)
         x, innovation, variance = np.zeros(len(self.covariance)), np.empty(z.shape), np.empty(z.shape)
         interval(blocks, noise, h, z, status, x, self.covariance, innovation, variance)
         self._feed_back(self.nominal.moved(rotations[-1], velocities[-1], positions[-1]), x)
-        self._refuse_divergence(i)
+        refuse_divergence(
+            self.nominal, float(self.inputs.keyframe_s[i]), "the tables imu and lidar_points before that time"
+        )
         epoch, column = np.nonzero(status == MEASURED)
         self._kept.append(
             (
@@ -137,22 +139,6 @@ class LegFilter:
         used = status > 0
         # a leg in front stands in for those that are not there: their rows are not used
         return times, status, (np.where(used, points.range_m[row], 1.0), np.where(used, points.angle_rad[row], 0.0))
-
-    def _navigate(self, i: int, epoch_s: Array) -> tuple[Array, Array, Array, Array, Array]:
-        inputs, n, count = self.inputs, self.nominal, len(epoch_s)
-        samples, start = inputs.imu.samples, float(inputs.keyframe_s[i - 1])
-        rotations, velocities, positions = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
-        blocks, force = np.empty((count, strapdown.BLOCKS, 3, 3)), np.empty((count, 3))
-        strapdown.advance(
-            samples.edge_s, samples.gyro_b, samples.accel_b, start, epoch_s, n.rotation_nb, n.vel_n, n.pos_n,
-            n.gyro_bias_b, n.accel_bias_b, inputs.gravity_m_s2, inputs.earth_rate_n, False,
-            rotations, velocities, positions, blocks, force,
-        )  # fmt: skip
-        bounds = np.concatenate([[start], epoch_s])
-        gyro, accel = inputs.imu.densities(bounds, inputs.noise.gyro_density, inputs.noise.accel_density)
-        noise = np.empty((count, len(self._walks), len(self._walks)))
-        kalman.process_noise(force, np.diff(bounds), gyro, accel, self._walks, False, noise)
-        return rotations, velocities, positions, blocks, noise
 
     def _follow(self, rotations: Array, positions: Array, status: npt_int, readings: tuple[Array, Array]) -> Array:
         """Nominal places (E, N, 3) of the legs in use."""
@@ -182,11 +168,3 @@ class LegFilter:
             reset[leg(j), PHI] = so3.skew(-x[leg(j)])
             self._place_n[j] += x[leg(j)]
         self.nominal, self.covariance = after, reset @ self.covariance @ reset.T
-
-    def _refuse_divergence(self, i: int) -> None:
-        speed = float(np.abs(self.nominal.vel_n).max())
-        if not (speed < _FASTEST_M_S and np.isfinite(self.nominal.rotation_nb).all()):
-            raise SolveError(
-                f"the filter diverged at {self.inputs.keyframe_s[i]:.1f} s (speed {speed:.3g} m/s): look for wild"
-                " values in the tables imu and lidar_points before that time"
-            )

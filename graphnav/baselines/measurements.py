@@ -12,6 +12,7 @@ import numpy as np
 
 from factors import closed_path, odometry, stationary
 from factors.so3 import Array, skew, transpose
+from graphnav.baselines.inputs import Inputs
 from graphnav.baselines.states import GYRO_BIAS, MOUNTING, PHI, POS, SCALE, SIZE, VEL, Nominal
 from graphnav.log import Odometer
 
@@ -108,6 +109,23 @@ def zero_rate_rows(nominal: Nominal, mean_rate_b: Array, rate_sigma: float, eart
     h[:, PHI] = by_attitude @ nominal.rotation_nb.T / rate_sigma
     h[:, GYRO_BIAS] = by_bias / rate_sigma
     return _rows(h, -error / rate_sigma, epoch, ZERO_RATE)
+
+
+def rest_rows(inputs: Inputs, i: int, ahead: Nominal, rotations: Array, velocities: Array, middle: int) -> Rows:
+    """Zero velocity and zero rate in the rest before keyframe i, whose epochs have these states (E, 3, 3), (E, 3).
+
+    At rest the position stays within a sigma, so the mean velocity, that of the epoch in the middle, is zero within it.
+    """
+    start, end = float(inputs.keyframe_s[i - 1]), float(inputs.keyframe_s[i])
+    rate, rate_sigma = inputs.imu.samples.mean_rate(start, end), inputs.noise.gyro_density / np.sqrt(end - start)
+    rest, last = inputs.config.rest, len(rotations) - 1
+    velocity_sigma = min(rest.velocity_sigma_m_s, rest.position_sigma_m / (end - start))
+    return joined(
+        [
+            zero_velocity_rows(rotations[middle], velocities[middle], velocity_sigma, middle),
+            zero_rate_rows(ahead, rate, float(rate_sigma), inputs.earth_rate_n, last),
+        ]
+    )
 
 
 @dataclass(frozen=True)

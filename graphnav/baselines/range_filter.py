@@ -16,19 +16,16 @@ import numpy as np
 from factors import so3
 from factors.increments import npt_int
 from factors.so3 import Array, from_quaternion
-from graphnav.baselines import kalman, strapdown
 from graphnav.baselines import measurements as measure
+from graphnav.baselines import strapdown
 from graphnav.baselines.ekf import Progress
 from graphnav.baselines.innovations import Innovations
 from graphnav.baselines.inputs import PRESETS, Inputs
-from graphnav.baselines.measurements import Rows
 from graphnav.baselines.plan import prior_covariance, walks
 from graphnav.baselines.squared_range import INERTIAL, interval
-from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, PHI, POS, SIZE, VEL, Nominal
+from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, PHI, POS, SIZE, VEL, Nominal, refuse_divergence
 from graphnav.baselines.tape import Estimates
-from graphnav.errors import SolveError
 
-_FASTEST_M_S = 1000.0
 _RELEASE_EVERY = 2000
 #: Names of the measurements of this filter.
 KINDS = ("squared range", "zero velocity", "zero rate")
@@ -138,9 +135,14 @@ class RangeFilter:
         """From keyframe i-1 to keyframe i: navigate, measure, filter, feed back."""
         resting, mine = bool(self._resting[i - 1]), slice(self._bound[i - 1], self._bound[i])
         epoch_s, at = self._epochs(i, self.ranges.t_s[mine])
-        rotations, velocities, positions, blocks, noise = self._navigate(i, epoch_s, resting)
+        rotations, velocities, positions, blocks, noise = strapdown.navigate(
+            self.inputs, self.nominal, float(self.inputs.keyframe_s[i - 1]), epoch_s, self._walks[resting],
+            resting=resting,
+        )  # fmt: skip
         ahead = self.nominal.moved(rotations[-1], velocities[-1], positions[-1])
-        rows = self._rest_rows(i, ahead, rotations, velocities) if resting else measure.joined([])
+        rows = measure.joined([])
+        if resting:
+            rows = measure.rest_rows(self.inputs, i, ahead, rotations, velocities, len(epoch_s) // 2)
         span = np.diff(epoch_s, prepend=self.inputs.keyframe_s[i - 1])
         keep = np.exp(-span[:, None] * self.tuning.keep_per_s)
         sigma = (self.ranges.rest_sigma_m if resting else self.ranges.sigma_m)[mine]
@@ -154,7 +156,7 @@ class RangeFilter:
             x, self.covariance, innovation, variance, row_innovation, row_variance,
         )  # fmt: skip
         self._feed_back(ahead, x)
-        self._refuse_divergence(i)
+        refuse_divergence(self.nominal, float(self.inputs.keyframe_s[i]), "the tables imu and uwb before that time")
         used = variance > 0
         self.rejected += int((~used).sum())
         kind = np.where(rows.kind == measure.ZERO_RATE, 2, 1)
@@ -171,35 +173,6 @@ class RangeFilter:
         epoch_s = np.unique(np.append(snapped, end))
         return epoch_s, np.searchsorted(epoch_s, snapped)
 
-    def _navigate(self, i: int, epoch_s: Array, resting: bool) -> tuple[Array, Array, Array, Array, Array]:
-        inputs, n, count = self.inputs, self.nominal, len(epoch_s)
-        samples, start = inputs.imu.samples, float(inputs.keyframe_s[i - 1])
-        rotations, velocities, positions = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
-        blocks, force = np.empty((count, strapdown.BLOCKS, 3, 3)), np.empty((count, 3))
-        strapdown.advance(
-            samples.edge_s, samples.gyro_b, samples.accel_b, start, epoch_s, n.rotation_nb, n.vel_n, n.pos_n,
-            n.gyro_bias_b, n.accel_bias_b, inputs.gravity_m_s2, inputs.earth_rate_n, resting,
-            rotations, velocities, positions, blocks, force,
-        )  # fmt: skip
-        bounds = np.concatenate([[start], epoch_s])
-        gyro, accel = inputs.imu.densities(bounds, inputs.noise.gyro_density, inputs.noise.accel_density)
-        noise = np.empty((count, INERTIAL, INERTIAL))
-        kalman.process_noise(force, np.diff(bounds), gyro, accel, self._walks[resting], resting, noise)
-        return rotations, velocities, positions, blocks, noise
-
-    def _rest_rows(self, i: int, ahead: Nominal, rotations: Array, velocities: Array) -> Rows:
-        """Zero velocity in the middle and zero rate over the interval, as in `ekf`."""
-        inputs, middle, last = self.inputs, len(rotations) // 2, len(rotations) - 1
-        start, end = float(inputs.keyframe_s[i - 1]), float(inputs.keyframe_s[i])
-        rate, rate_sigma = inputs.imu.samples.mean_rate(start, end), inputs.noise.gyro_density / np.sqrt(end - start)
-        sigma = min(inputs.config.rest.velocity_sigma_m_s, inputs.config.rest.position_sigma_m / (end - start))
-        return measure.joined(
-            [
-                measure.zero_velocity_rows(rotations[middle], velocities[middle], sigma, middle),
-                measure.zero_rate_rows(ahead, rate, float(rate_sigma), inputs.earth_rate_n, last),
-            ]
-        )
-
     def _feed_back(self, before: Nominal, x: Array) -> None:
         """Equation 26, and of `ekf.fed_back` the part for the velocity: at rest no turn of the world shows.
 
@@ -210,11 +183,3 @@ class RangeFilter:
         reset = np.eye(INERTIAL)
         reset[VEL, PHI] = so3.skew(before.vel_n - self.nominal.vel_n)
         self.covariance = reset @ self.covariance @ reset.T
-
-    def _refuse_divergence(self, i: int) -> None:
-        speed = float(np.abs(self.nominal.vel_n).max())
-        if not (speed < _FASTEST_M_S and np.isfinite(self.nominal.rotation_nb).all()):
-            raise SolveError(
-                f"the filter diverged at {self.inputs.keyframe_s[i]:.1f} s (speed {speed:.3g} m/s): look for wild"
-                " values in the tables imu and uwb before that time"
-            )

@@ -14,12 +14,15 @@ import numpy as np
 
 from factors import so3
 from factors.so3 import Array
+from graphnav.errors import SolveError
 
 SIZE = 19
 VEL, PHI, POS = slice(0, 3), slice(3, 6), slice(6, 9)
 GYRO_BIAS, ACCEL_BIAS = slice(9, 12), slice(12, 15)
 MOUNTING, SCALE = slice(15, 18), 18
 
+#: No machine is as fast; a filter that says so is lost.
+_FASTEST_M_S = 1000.0
 _UPPER = np.triu_indices(SIZE)
 #: Length of a packed symmetric matrix.
 PACKED = len(_UPPER[0])
@@ -56,6 +59,15 @@ class Nominal:
     def moved(self, rotation_nb: Array, vel_n: Array, pos_n: Array) -> Nominal:
         """The same sensors in another place."""
         return replace(self, rotation_nb=rotation_nb, vel_n=vel_n, pos_n=pos_n)
+
+
+def refuse_divergence(nominal: Nominal, t_s: float, suspect: str) -> None:
+    """Stop a filter that is lost; `suspect` : where to look."""
+    speed = float(np.abs(nominal.vel_n).max())
+    if not (speed < _FASTEST_M_S and np.isfinite(nominal.rotation_nb).all()):
+        raise SolveError(
+            f"the filter diverged at {t_s:.1f} s (speed {speed:.3g} m/s): look for wild values in {suspect}"
+        )
 
 
 def packed(matrix: Array) -> Array:

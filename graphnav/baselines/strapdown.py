@@ -9,10 +9,17 @@ sample.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from factors.so3 import Array
+from graphnav.baselines import kalman
 from graphnav.baselines._compiled import compiled
+
+if TYPE_CHECKING:
+    from graphnav.baselines.inputs import Inputs
+    from graphnav.baselines.states import Nominal
 
 #: Blocks of the transition matrix over an epoch, in the order they are kept: row state by column state.
 #: phi-phi, phi-gyro; v-phi, v-v, v-gyro, v-accel; p-phi, p-v, p-gyro, p-accel.
@@ -199,3 +206,39 @@ def vary(b: Array, mean: Array, dv_n: Array, turn: Array, earth_n: Array, h: flo
     b[0] += crossed(turn, b[0])
     if not resting:
         b[1] += crossed(turn, b[1]) - mean * h
+
+
+def navigate(
+    inputs: Inputs,
+    nominal: Nominal,
+    start_s: float,
+    epoch_s: Array,
+    walks: Array,
+    *,
+    resting: bool,
+    noise_scale: float = 1.0,
+) -> tuple[Array, Array, Array, Array, Array]:
+    """The state carried from `start_s` through the epochs, with what that does to its errors.
+
+    Parameters
+    ----------
+    epoch_s : (E,) as in `advance`; walks : (n,) as in `kalman.process_noise`, n states.
+    noise_scale : factor on the IMU's noise densities.
+
+    Returns
+    -------
+    rotations (E, 3, 3), velocities (E, 3), positions (E, 3), blocks (E, 10, 3, 3), process noise (E, n, n).
+    """
+    count, size = len(epoch_s), len(walks)
+    samples = inputs.imu.samples
+    rotations, velocities, positions = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
+    blocks, force, noise = np.empty((count, BLOCKS, 3, 3)), np.empty((count, 3)), np.empty((count, size, size))
+    advance(
+        samples.edge_s, samples.gyro_b, samples.accel_b, start_s, epoch_s, nominal.rotation_nb, nominal.vel_n,
+        nominal.pos_n, nominal.gyro_bias_b, nominal.accel_bias_b, inputs.gravity_m_s2, inputs.earth_rate_n, resting,
+        rotations, velocities, positions, blocks, force,
+    )  # fmt: skip
+    bounds = np.concatenate([[start_s], epoch_s])
+    gyro, accel = inputs.imu.densities(bounds, inputs.noise.gyro_density, inputs.noise.accel_density)
+    kalman.process_noise(force, np.diff(bounds), gyro * noise_scale, accel * noise_scale, walks, resting, noise)
+    return rotations, velocities, positions, blocks, noise

@@ -3,10 +3,11 @@
 - **Dataset 1** (``dataset1.mat``): along a straight line, wheel speed and laser range to a cylinder on that line.
 - **Dataset 2** (``dataset2.mat``, or its first half): on a floor among 17 tubes, speed and turn rate of the wheels,
   laser range and bearing to the tubes, told apart. The laser is `d` ahead of the axle, where the wheels roll to.
+- **Dataset 3**: a stereo camera carried by hand, see `aer1513_stereo`.
 
-Both have 10 rows a second; row k of the speeds holds until row k+1. Noise is the files' own (`v_var`, `om_var`,
-`r_var`, `b_var`). They name none sideways, where wheels slip by `_SIDE_M_S`. What is wrong for longer than white noise
-shows between wheels and laser, without the motion capture: `CORRECTIONS`.
+The first two have 10 rows a second; row k of the speeds holds until row k+1. Noise is the files' own (`v_var`,
+`om_var`, `r_var`, `b_var`). They name none sideways, where wheels slip by `_SIDE_M_S`. What is wrong for longer than
+white noise shows between wheels and laser, without the motion capture: `CORRECTIONS`.
 
 Axes: n is the motion capture's (x east, y north); b is at the middle of the axle, right-forward-up, and looks where
 the laser does; s has b's axes.
@@ -24,10 +25,13 @@ from factors.increments import npt_int
 from graphnav._schema import Array
 from graphnav.errors import LogError
 from graphnav.log import Frames, InitialState, Landmark, Lidar, LidarPoints, RelativePose, SensorLog, Truth
+from graphnav.readers import aer1513_stereo
 from graphnav.readers.mat_file import MatFile
 from graphnav.readers.wheels import FLOOR_M, FLOOR_RAD, upright, wheel_motions
 
-_NAMES = {1: ("dataset1.mat",), 2: ("dataset2.mat", "dataset2_first_half.mat")}
+_NAMES = {1: ("dataset1.mat",), 2: ("dataset2.mat", "dataset2_first_half.mat"), 3: aer1513_stereo.NAMES}
+#: Toronto; of no effect without an IMU.
+_PLACE = Frames(latitude_deg=43.8)
 _SIDE_M_S = 0.01
 #: What the ranges may have wrong as a whole: a tube's centre is not what the laser hits.
 _RANGE_BIAS_M, _RANGE_SCALE = 0.05, 0.02
@@ -79,8 +83,8 @@ def convert(
 
     Parameters
     ----------
-    source : folder with ``dataset1.mat``, or ``dataset2.mat`` or ``dataset2_first_half.mat``.
-    dataset : 1 or 2.
+    source : folder with ``dataset1.mat``, ``dataset2.mat`` or ``dataset2_first_half.mat``, or ``dataset3.mat``.
+    dataset : 1, 2 or 3; what follows is for the laser of the first two.
     landmarks : "known" declares the file's places of the tubes as surveyed, "unknown" leaves them to be estimated.
     interval_s : least time between laser scans that are taken over. Scans less than a second apart repeat each other's
         errors (docs/real-data.md), which are declared as independent; 0.1 takes all.
@@ -90,7 +94,8 @@ def convert(
     Returns
     -------
     SensorLog
-        Relative poses of the wheels, laser detections, truth where it is valid; initial pose the truth's.
+        Relative poses of the wheels, laser detections (with dataset 3 of the camera's rates, and stereo tracks), truth
+        where it is valid; initial pose the truth's.
 
     Raises
     ------
@@ -100,12 +105,14 @@ def convert(
     if source is None:
         raise LogError("aer1513 needs a source folder", fix="pass the folder that holds the .mat files")
     if dataset not in _NAMES:
-        raise LogError(f"dataset {dataset} of aer1513, expected 1 or 2", fix="dataset 3 is not read")
+        raise LogError(f"dataset {dataset} of aer1513, expected 1, 2 or 3")
     if landmarks not in ("known", "unknown"):
         raise LogError(f'landmarks "{landmarks}", expected "known" or "unknown"')
     if not interval_s > 0:
         raise LogError(f"interval_s {interval_s}, expected a time above zero", fix="0.1 takes every scan")
     mat = MatFile.first_of(Path(source), _NAMES[dataset])
+    if dataset == 3:
+        return aer1513_stereo.stereo_log(mat, _PLACE)
     known = CORRECTIONS[dataset] if corrections is None else corrections
     parts = (_line if dataset == 1 else _floor)(mat, known, interval_s)
     systematic = known != AS_RECORDED and dataset == 2
@@ -116,7 +123,7 @@ def convert(
     )
     return SensorLog(
         name=f"aer1513-{dataset}",
-        frames=Frames(latitude_deg=43.8),  # Toronto; of no effect without an IMU
+        frames=_PLACE,
         initial=_initial(parts.truth),
         relative_pose=parts.motion,
         lidar=lidar,

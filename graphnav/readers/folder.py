@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -12,11 +12,16 @@ import numpy.typing as npt
 
 from graphnav._schema import Record
 from graphnav.errors import LogError
-from graphnav.log import SECTIONS, TABLES, Lidar, SensorLog, SurveyedPoint
+from graphnav.log import SECTIONS, TABLES, Lidar, SensorLog, Stereo, StereoPairs, SurveyedPoint
 from graphnav.readers import sections, tables
 from graphnav.readers.sections import LOG_FILE
 
 _BLOCK_ROWS = 1 << 16
+#: Sections that several tables share, and these tables; those of the second list can do without the section.
+_SHARED: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    Lidar.SECTION: (("lidar_points", "lidar_scans"), ()),
+    Stereo.SECTION: (("stereo", "stereo_tracks"), ("relative_pose",)),
+}
 
 
 def read_folder(folder: Path) -> SensorLog:
@@ -49,12 +54,13 @@ def read_folder(folder: Path) -> SensorLog:
         if name in document
     }
     records["surveyed"] = sections.build_items(SurveyedPoint, document.get("surveyed", []), file)
-    lidar = records.get("lidar")
+    offsets_s = {table: records[section].time_offset_s for section, table in _shared_clocks() if section in records}
     for name, path in files.items():
-        offset_s = lidar.time_offset_s if lidar and name.startswith("lidar_") else 0.0
-        records[name] = _read_table(TABLES[name], document, path, file, offset_s)
-    if lidar:
-        records["lidar"] = lidar.replace(time_offset_s=0.0)
+        cls = TABLES[name]
+        records[cls.field_name()] = _read_table(cls, document, path, file, offsets_s.get(name, 0.0))
+    for section in _SHARED:
+        if section in records:
+            records[section] = records[section].replace(time_offset_s=0.0)
     try:
         return SensorLog(name=document["name"], epoch=document.get("epoch"), **records)
     except LogError as error:
@@ -74,9 +80,9 @@ def check_pairs(present: Collection[str], files: Collection[str], folder: str) -
     if "frames" not in present:
         raise LogError("missing section [frames]", where=file, fix="add [frames] with latitude_deg of the origin")
     for section in sections.ALL_SECTIONS:
-        wanted = _tables_of(section)
-        if section in present and wanted and not any(t in files for t in wanted):
-            names = " or ".join(f"{t}.parquet or .csv" for t in wanted)
+        wanted, served = _tables_of(section)
+        if section in present and wanted and not any(t in files for t in wanted + served):
+            names = " or ".join(f"{t}.parquet or .csv" for t in wanted + served)
             raise LogError("section without its table", where=f"{file} [{section}]", fix=f"add {names}, or remove it")
         needed_by = [t for t in wanted if t in files]
         if section not in present and needed_by:
@@ -90,10 +96,14 @@ def _needed_keys(cls: type[Record]) -> list[str]:
     return keys or [f.name for f in cls.param_fields() if f.metadata["items"] is not None]
 
 
-def _tables_of(section: str) -> tuple[str, ...]:
-    if section == Lidar.SECTION:
-        return ("lidar_points", "lidar_scans")
-    return (section,) if section in TABLES else ()
+def _tables_of(section: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Tables that need this section, and those that can do without."""
+    return _SHARED.get(section, ((section,) if section in TABLES else (), ()))
+
+
+def _shared_clocks() -> Iterator[tuple[str, str]]:
+    """Each shared section with each of its tables."""
+    return ((section, table) for section, (wanted, served) in _SHARED.items() for table in wanted + served)
 
 
 def _read_table(cls: type[Record], document: Mapping[str, Any], path: Path, file: str, offset_s: float) -> Record:
@@ -102,7 +112,11 @@ def _read_table(cls: type[Record], document: Mapping[str, Any], path: Path, file
     if cls.SECTION:
         arguments = sections.params(cls, document[cls.SECTION], f"{file} [{cls.SECTION}]")
     arguments |= tables.read_columns(cls, path, where)
-    arguments[cls.TIME] += offset_s + arguments.pop("time_offset_s", 0.0)
+    offset_s += arguments.pop("time_offset_s", 0.0)
+    for column in {cls.TIME, "t_to_s"} & arguments.keys():
+        arguments[column] += offset_s
+    if cls is StereoPairs:
+        arguments["folder"] = path.parent
     for matrix, samples in (("gyro_matrix", "gyro_b_rad_s"), ("accel_matrix", "accel_b_m_s2")):
         if matrix in arguments:
             _apply(arguments.pop(matrix), arguments[samples])
@@ -170,7 +184,7 @@ def _ranks(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _check_image_paths(record: Record, where: str) -> None:
-    for name in ("left", "right") if record.TABLE == "stereo" else ():
+    for name in ("left", "right") if isinstance(record, StereoPairs) else ():
         for row, text in enumerate(getattr(record, name)):
             if not text or PurePosixPath(text).is_absolute() or PureWindowsPath(text).is_absolute():
                 problem = f'"{text}", expected an image path relative to the log folder'

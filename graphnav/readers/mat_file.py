@@ -64,9 +64,9 @@ class MatFile:
             raise self._error(f"variance {variance:g}, expected above zero", column=name)
         return math.sqrt(variance)
 
-    def times(self, name: str) -> Array:
-        """Ascending times (N,), at least two."""
-        t_s = self.column(name)
+    def times(self, name: str, *, row: bool = False) -> Array:
+        """Ascending times (N,), at least two; a column or, in some files, a row."""
+        t_s = self.array(name, (1, None))[0] if row else self.column(name)
         if len(t_s) < 2:
             raise self._error(f"{len(t_s)} rows, expected at least 2", column=name)
         wrong = np.flatnonzero(np.diff(t_s) <= 0)

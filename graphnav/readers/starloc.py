@@ -45,6 +45,7 @@ from factors.so3 import Array
 from graphnav.errors import LogError
 from graphnav.log import Frames, Imu, InitialState, SensorLog, Truth, Uwb, UwbAnchor, UwbTag
 from graphnav.readers.named_csv import NamedCsv
+from graphnav.readers.starloc_stereo import tag_tracks
 
 #: Vectors in the rig's axes (forward, left, up) -> right, forward, up.
 _RFU_FROM_RIG = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -76,7 +77,7 @@ class _Setup:
     tags_rig_m : tag -> place in the rig's axes.
     quat_rig_imu : turn of the IMU on the rig (w, x, y, z); imu_rig_m : its place.
     up_room : the vertical in the room's axes.
-    ranges_later_s : time of the ranges + this = time of ``imu.csv``.
+    ranges_later_s, images_later_s : time of the ranges, of the images + this = time of ``imu.csv``.
     """
 
     markers: str
@@ -86,6 +87,7 @@ class _Setup:
     imu_rig_m: tuple[float, float, float]
     up_room: tuple[float, float, float]
     ranges_later_s: float
+    images_later_s: float
 
 
 _SETUPS = {
@@ -97,6 +99,7 @@ _SETUPS = {
         imu_rig_m=(-0.029, -0.158, -0.039),
         up_room=(-0.0188, -0.0146, 0.99972),
         ranges_later_s=1.425,
+        images_later_s=1.480,
     ),
     "loop-3d_s5": _Setup(
         markers="uwb_markers_v3.csv",
@@ -106,11 +109,12 @@ _SETUPS = {
         imu_rig_m=(-0.016, -0.112, -0.036),
         up_room=(0.0, 0.0, 1.0),
         ranges_later_s=1.433,
+        images_later_s=1.486,
     ),
 }
 
 
-def convert(source: str | Path | None, *, heading_sigma_deg: float | None = None) -> SensorLog:
+def convert(source: str | Path | None, *, heading_sigma_deg: float | None = None, stereo: bool = False) -> SensorLog:
     """Convert a recording.
 
     Parameters
@@ -118,11 +122,12 @@ def convert(source: str | Path | None, *, heading_sigma_deg: float | None = None
     source : folder ``loop-2d-fast_s1`` or ``loop-3d_s5``, beside the folder ``mocap``.
     heading_sigma_deg : declared sigma of the heading at the start, which then is the reference's; None leaves it
         unknown.
+    stereo : with the camera and what it sees of AprilTags, see `starloc_stereo`.
 
     Returns
     -------
     SensorLog
-        IMU, raw ranges with tags and anchors, truth.
+        IMU, raw ranges with tags and anchors, truth; on demand the camera's tracks.
 
     Raises
     ------
@@ -141,12 +146,15 @@ def convert(source: str | Path | None, *, heading_sigma_deg: float | None = None
     level = _level(np.array(setup.up_room))
     truth = _truth(table, setup, level)
     imu = _imu(table, setup)
+    camera, tracks = tag_tracks(folder, _to_body(setup), setup.images_later_s) if stereo else (None, None)
     return SensorLog(
         name=f"starloc-{folder.name}",
         frames=_PLACE,
         initial=_initial(imu, truth, heading_sigma_deg),
         imu=imu,
         uwb=_ranges(folder, setup, level),
+        stereo=camera,
+        stereo_tracks=tracks,
         truth=truth,
     )
 
@@ -159,12 +167,17 @@ def _level(up_room: Array) -> Array:
     return so3.exp(axis * (np.arcsin(sine) / sine if sine > 0 else 0.0))
 
 
+def _to_body(setup: _Setup) -> Array:
+    """Rotation (3, 3) of the IMU's axes into the body's."""
+    return _RFU_FROM_RIG @ so3.from_quaternion(np.array(setup.quat_rig_imu))
+
+
 def _imu(table: NamedCsv, setup: _Setup) -> Imu:
     """Rows on a regular grid, in the body's axes."""
     t_s = table.times("time_s") + _IMU_LATER_S
     step = float(np.median(np.diff(t_s)))
     edges = np.arange(t_s[0], t_s[-1], step)
-    to_body = _RFU_FROM_RIG @ so3.from_quaternion(np.array(setup.quat_rig_imu))
+    to_body = _to_body(setup)
     found = {
         name: np.column_stack([np.interp(edges[1:] - step / 2, t_s, table.column(f"{name}_{axis}")) for axis in "xyz"])
         for name in ("angular_velocity", "linear_acceleration")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
@@ -15,16 +16,19 @@ from graphnav.readers.folder import check_pairs
 from graphnav.readers.sections import LOG_FILE
 from graphnav.readers.tables import SUFFIXES, write_table
 
+_IMAGE_FOLDERS = ("left", "right")
+
 
 def write(
     log: SensorLog,
     path: str | os.PathLike[str],
     tables: Literal["parquet", "csv"] = "parquet",
     overwrite: bool = False,
+    images: Callable[[Path], None] | None = None,
 ) -> None:
     """Write a log folder that `read` gives back number for number.
 
-    Images named by a stereo table are no part of the `SensorLog` and are not copied.
+    Images named by a stereo table are no part of the `SensorLog` and are not copied; `images` may make them.
 
     Parameters
     ----------
@@ -32,6 +36,7 @@ def write(
     path : the folder. One that is empty or holds a log and nothing else is replaced.
     tables : file type of the tables; scans, which have a list column, are parquet in either case.
     overwrite : replace a folder that holds anything else, too.
+    images : called with the folder before it is put in its place, to write the images there.
 
     Raises
     ------
@@ -49,6 +54,8 @@ def write(
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         _write_into(draft, log, f".{tables}")
+        if images is not None:
+            images(draft)
         _put_in_place(draft, target)
     except OSError as error:
         problem = f"cannot be written ({error.strerror or error})"
@@ -62,10 +69,16 @@ def _check_target(target: Path, overwrite: bool) -> None:
         raise LogError("a file, expected a folder to write the log to", where=str(target), fix="choose another path")
     if overwrite or not target.exists():
         return
-    others = sorted(p.name for p in target.iterdir() if not _is_log_file(p))
+    others = sorted(p.name for p in target.iterdir() if not (_is_log_file(p) or _is_of_images(p)))
     if others:
         problem = f"the folder holds {others[0]}, which is no part of a log"
         raise LogError(problem, where=str(target), fix="choose another folder, or overwrite it explicitly")
+
+
+def _is_of_images(path: Path) -> bool:
+    """Whether this is a folder of a log's images and nothing else."""
+    of_log = path.name in _IMAGE_FOLDERS and path.is_dir() and (path.parent / LOG_FILE).exists()
+    return of_log and all(image.suffix == ".png" for image in path.iterdir())
 
 
 def _is_log_file(path: Path) -> bool:

@@ -5,6 +5,9 @@ same log. Every error is zero-mean normal with exactly the sigma that the log de
 value: shearer-lidar has the fixed errors of its paper, of the size of the declared sigmas, and face-end-uwb delays some
 ranges. What a log does not tell of the supports beside the machine is in `graphnav.simulation.supports.supports_truth`,
 what it does not tell of the ranges in `graphnav.simulation.uwb_truth.uwb_truth`.
+
+A log of roadheader-stereo names its images; they are rendered where its folder is written, by the command line or by
+`write_images`, or one by one by `render_pairs`.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from graphnav.log import SensorLog
+    from graphnav.simulation.stereo_images import render_pairs, write_images
+
+__all__ = ["SCENARIOS", "render_pairs", "simulate", "write_images"]
 
 #: Scenario name -> {"description": text, "options": {option: text}}, for help texts.
 SCENARIOS: dict[str, dict[str, Any]] = {
@@ -47,11 +53,24 @@ SCENARIOS: dict[str, dict[str, Any]] = {
             "nlos_max_m": "the delay is uniform up to this, 3 (default)",
         },
     },
+    "roadheader-stereo": {
+        "description": "tactical IMU and stereo camera on a roadheader that drives 20 m up a dark, dusty roadway",
+        "options": {
+            "rate_hz": "frames per second, 1 to 30; 5 (default)",
+            "images": "rendered image pairs (default), or none",
+            "tracks": "tracks of features drawn without images; none (default)",
+            "outlier_share": "share of wrong matches among the tracks, 0 (default) to less than 1",
+        },
+    },
 }
 
 
 def simulate(scenario: str, seed: int = 0, **options: Any) -> SensorLog:
     """Simulate a reference scenario.
+
+    The images of roadheader-stereo are named in the log but not made. ``graphnav simulate roadheader-stereo -o L``
+    writes both; ``gn.write(log, "L")`` writes the log alone, and then
+    ``gn.simulation.write_images("L", "roadheader-stereo", seed, ...)`` its images.
 
     Parameters
     ----------
@@ -66,6 +85,8 @@ def simulate(scenario: str, seed: int = 0, **options: Any) -> SensorLog:
     """
     from graphnav.errors import ConfigError
     from graphnav.simulation.face_end import simulate_face_end
+    from graphnav.simulation.roadheader import simulate_roadheader
+    from graphnav.simulation.roadheader_figures import RoadheaderSpec
     from graphnav.simulation.scenarios import resolve
     from graphnav.simulation.shearer import simulate_shearer
     from graphnav.simulation.uwb_figures import FaceEndSpec
@@ -75,4 +96,15 @@ def simulate(scenario: str, seed: int = 0, **options: Any) -> SensorLog:
         raise ConfigError(f"seed = {seed!r}, expected a whole number of zero or more")
     if isinstance(spec, FaceEndSpec):
         return simulate_face_end(scenario, spec, seed, options=options)
+    if isinstance(spec, RoadheaderSpec):
+        return simulate_roadheader(scenario, spec, seed, options=options)
     return simulate_shearer(scenario, spec, seed, options=options)
+
+
+def __getattr__(name: str) -> Any:
+    """Import what renders images on first use (PEP 562)."""
+    if name not in ("render_pairs", "write_images"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from graphnav.simulation import stereo_images
+
+    return getattr(stereo_images, name)

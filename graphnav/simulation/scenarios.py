@@ -14,6 +14,7 @@ from typing import Any
 from graphnav.errors import ConfigError
 from graphnav.simulation.lidar_figures import LidarSpec
 from graphnav.simulation.machine_figures import MEMS_IMU, ImuGrade, MachineSpec, Triple
+from graphnav.simulation.roadheader_figures import RoadheaderSpec, roadheader_stereo
 from graphnav.simulation.uwb_figures import CARRIER, FaceEndSpec, RangingSpec, face_end_uwb
 
 
@@ -160,15 +161,17 @@ def shearer_lidar(cycles: int = 6, scans: bool = True, draw: bool = False) -> Sh
     return replace(spec, att_error_deg=None, mounting_deg=None) if draw else spec
 
 
-BUILDERS: Mapping[str, Callable[..., ShearerSpec | FaceEndSpec]] = {
+Spec = ShearerSpec | FaceEndSpec | RoadheaderSpec
+BUILDERS: Mapping[str, Callable[..., Spec]] = {
     "shearer-mems": shearer_mems,
     "full-shift": full_shift,
     "shearer-lidar": shearer_lidar,
     "face-end-uwb": face_end_uwb,
+    "roadheader-stereo": roadheader_stereo,
 }
 
 
-def resolve(scenario: str, options: Mapping[str, Any]) -> ShearerSpec | FaceEndSpec:
+def resolve(scenario: str, options: Mapping[str, Any]) -> Spec:
     """The figures of a scenario with options.
 
     Raises

@@ -45,11 +45,17 @@ def wobbling(motion: Motion, angles_rad: Array, nominal_m_s: float) -> Rotation:
     The origin stays on the path, so the machine frame sees ``v_m = v (crab, 1, -pitch)`` to first order:
     the slip of the log format. A smooth step of the speed makes it vanish at rest without a jump in rate.
     """
-    ratio = np.minimum(np.abs(motion.speed_m_s) / nominal_m_s, 1.0)
-    share = ratio**2 * (3 - 2 * ratio)
+    share = moving_share(motion, nominal_m_s)
     vectors = np.zeros((len(share), 3))
     vectors[:, 0], vectors[:, 2] = share * angles_rad[:, 0], share * angles_rad[:, 1]
     return motion.rot_nm * Rotation.from_rotvec(vectors)
+
+
+def moving_share(motion: Motion, nominal_m_s: float) -> Array:
+    """Share of a vibration ``(N,)``: all of it at nominal speed, none at rest, a smooth step of the speed between."""
+    ratio = np.minimum(np.abs(motion.speed_m_s) / nominal_m_s, 1.0)
+    share: Array = ratio**2 * (3 - 2 * ratio)
+    return share
 
 
 def earth_rate_n(latitude_deg: float) -> Array:

@@ -23,7 +23,6 @@ from graphnav.simulation.lidar_figures import LidarSpec, SupportSpec
 from graphnav.simulation.motion import Leg
 from graphnav.simulation.path import Line
 from graphnav.simulation.scenarios import ShearerSpec
-from graphnav.simulation.uwb_figures import FaceEndSpec
 from graphnav.simulation.world import World, build_world, creep_of, face_frame, streams
 
 Array = npt.NDArray[np.float64]
@@ -120,7 +119,7 @@ def supports_truth(scenario: str, seed: int = 0, **options: Any) -> Supports:
     from graphnav.simulation.scenarios import resolve
 
     spec, streams_of = resolve(scenario, options), streams(seed)
-    if isinstance(spec, FaceEndSpec) or spec.lidar is None:
+    if not isinstance(spec, ShearerSpec) or spec.lidar is None:
         raise ConfigError(f"{scenario}: no LiDAR and so no supports; use shearer-lidar")
     return build_supports(build_world(spec, streams_of.geometry, streams_of.machine), streams_of.supports)
 

@@ -41,11 +41,18 @@ class Streams(NamedTuple):
     roadways: np.random.Generator
     scans: np.random.Generator
     uwb: np.random.Generator
+    tracks: np.random.Generator
+    images: np.random.Generator
 
 
 def streams(seed: int) -> Streams:
     """The random streams of a log."""
     return Streams(*np.random.default_rng(seed).spawn(len(Streams._fields)))
+
+
+def image_seed(seed: int) -> np.random.SeedSequence:
+    """The seed of what a log's images are made of: that of its stream `images`."""
+    return np.random.SeedSequence(seed).spawn(len(Streams._fields))[Streams._fields.index("images")]
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
 from graphnav.legs import uses_legs
 from graphnav.markov_errors import slots
+from graphnav.motions import uses_motions
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.solvers.absolute import predicted_factor
@@ -88,6 +89,7 @@ def parameters(config: Isam2Config, slots: int = 0) -> gtsam.ISAM2Params:
         ("l", [config.threshold_position_m] * 2 + [config.threshold_lean] * 2),
         ("d", [config.threshold_scale, config.threshold_position_m, *[config.threshold_mounting_rad] * 6]),
         ("a", [config.threshold_position_m] * 4),
+        ("e", [config.threshold_mounting_rad] * 3 + [config.threshold_position_m] * 3),
         ("m", [_MARKOV] * slots),
     ):
         thresholds.insert((letter, np.array(values)))
@@ -107,7 +109,8 @@ class _Session:
         self.theta = self.isam.getLinearizationPoint()
         self.rotation, self.pos, self.vel = start.rotation_nb[0], start.pos_n[0], start.vel_n[0]
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self.creeping, self.slots = set(creep_cycles(problem)), slots(problem)
+        self.anew = bool(creep_cycles(problem)) or bool(slots(problem)) or uses_motions(problem)
+        self.slots = slots(problem)
         self.predicted: list[gtsam.NonlinearFactor] = []
         self.relinearized, self.reeliminated = 0, list[int]()
         self.legs = LegFeed(problem, data) if uses_legs(problem) else None
@@ -166,13 +169,14 @@ class _Session:
         self.values.insert(C(epoch), self.calibration(epoch - 1) if known else np.zeros(4))
 
     def add_factor(self, factor: gtsam.NonlinearFactor) -> None:
-        """Add a factor, and the variables of creep and of ranges that it may be the first to mention."""
-        for key in factor.keys() if self.creeping or self.slots else ():
+        """Add a factor, and the variables of creep, ranges and camera that it may be the first to mention."""
+        for key in factor.keys() if self.anew else ():
             letter = chr(key >> 56)
-            if letter in "kam" and not (self.theta.exists(key) or self.values.exists(key)):
+            if letter in "kame" and not (self.theta.exists(key) or self.values.exists(key)):
                 face = self.problem.log.face
                 creep = np.array([face.creep_m if face else 0.0])
-                self.values.insert(key, {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots)}[letter])
+                zero = {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots), "e": np.zeros(6)}
+                self.values.insert(key, zero[letter])
         self.pending.add(factor)
 
     def add_absolute(self, point: ClosedPathPoint) -> None:

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array
+from graphnav.camera import Camera
 from graphnav.graph import build_graph
 from graphnav.legs import LegReadings
 from graphnav.markov_errors import slots
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import B, C, D, L, Problem, T, V, X
+from graphnav.problem import SIZES, B, C, D, L, Problem, T, V, X
 from graphnav.ranges import RangeReadings
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.solvers.elimination import eliminate, elimination
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
     from factors.advance import AdvanceFamily
 
-#: Sizes of the variables by the letter of their key.
-_DIMS = {ord(letter): size for letter, size in zip("xvbckldat", (6, 3, 6, 4, 1, 4, 8, 4, 1), strict=True)}
 Progress = Callable[[float, float], None]
 
 
@@ -42,6 +41,7 @@ def graph_covariances(
     legs: LegReadings | None = None,
     advances: AdvanceFamily | None = None,
     ranges: RangeReadings | None = None,
+    camera: Camera | None = None,
     causal: bool = False,
     progress: Progress | None = None,
 ) -> Array:
@@ -52,14 +52,14 @@ def graph_covariances(
     keyframes : ascending; causal : False for the whole log, True for the log up to each keyframe.
     legs : the readings of LiDAR legs that take part; a reading counts from the last of its detections on.
     advances : pairs of these legs; a pair counts from the first reading of the later one on.
-    ranges : the UWB ranges that take part.
+    ranges : the UWB ranges that take part; camera : what the camera says.
 
     Returns
     -------
     (T, 19, 19), or (T, 15, 15) without an odometer: bias and calibration are those of the interval that ends at the
     keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`; with a time offset of ranges one more.
     """
-    graph, extra = build_graph(problem, data, legs, advances, ranges), list[int]()
+    graph, extra = build_graph(problem, data, legs, advances, ranges, camera), list[int]()
     if legs is not None and problem.log.lidar is not None:
         graph, extra = graph.only_legs(legs, problem.log.lidar), [D(0)]
     if ranges is not None and ranges.family.clock is not None:
@@ -73,7 +73,7 @@ def graph_covariances(
     else:
         found = _smoothed(problem, linear, groups, chain, progress)
     own = 15 + 4 * problem.has_calibration
-    size = own + sum(_DIMS[key >> 56] for key in extra)
+    size = own + sum(SIZES[key >> 56] for key in extra)
     to_n = np.zeros((len(keyframes), size, size))
     for k, i in enumerate(keyframes):
         rotation = values.atPose3(X(i)).rotation().matrix()
@@ -193,7 +193,7 @@ def _needs(problem: Problem, keys: list[int], seen: dict[tuple[int, ...], int]) 
             needed = max(needed, int(np.searchsorted(epochs, index)) + 1)
     # a range lies between the keyframe whose pose it has and the next
     between = 1 if any(key >> 56 == ord("a") for key in keys) else 0
-    return max([needed, *((pose & ((1 << 56) - 1)) + between for pose in poses)])
+    return max([needed, *(pose - X(0) + between for pose in poses)])
 
 
 def _tie(keys: tuple[int, ...]) -> gtsam.GaussianFactor:
@@ -202,12 +202,12 @@ def _tie(keys: tuple[int, ...]) -> gtsam.GaussianFactor:
 
     parts = gtsam.GaussianFactorGraph()
     for key in keys:
-        size = _DIMS[key >> 56]
+        size = SIZES[key >> 56]
         parts.push_back(gtsam.JacobianFactor(key, np.zeros((1, size)), np.zeros(1), gtsam.noiseModel.Unit.Create(1)))
     return gtsam.JacobianFactor(parts)
 
 
 def _sizes(problem: Problem) -> Callable[[int], int]:
     """Size of the variable of a key."""
-    sizes = _DIMS | {ord("m"): slots(problem)}
+    sizes = SIZES | {ord("m"): slots(problem)}
     return lambda key: sizes[key >> 56]

@@ -1,0 +1,120 @@
+"""Features that a stereo camera tracks, all readings of a log at once: the tight counterpart of relative poses.
+
+Every feature is a point of its own in the graph and every reading ties it to the pose it was seen from, so that what
+readings of one feature have in common counts once, from however many poses it was seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors import lookup, so3
+from factors.increments import npt_int
+from factors.robust import Loss, losses, weights
+from factors.so3 import Array
+from factors.stereo import StereoCamera, residual
+
+if TYPE_CHECKING:
+    import gtsam
+
+#: Rows of a reading: u_left, u_right, v.
+_ROWS = 3
+#: Nearest depth at which a reading is looked at: behind it an iteration has gone astray, and it does not count, m.
+_NEAREST_M = 0.05
+
+
+@dataclass(frozen=True)
+class TrackFamily:
+    """All readings of tracked features as arrays.
+
+    Attributes
+    ----------
+    pose_key, point_key : (K,) pose T_nb from which a feature was seen, and its place in n (a 3-vector).
+    mounting_key : of the 6-vector of mounting errors (angles about c's axes, place in b), or None where they are known.
+    pixels : (K, 3) u_left, u_right, v; sigma_px : of each of them.
+    camera : the rectified pair; rotation_bc, pos_bc : (3, 3), (3,) its mounting as declared.
+    loss, scale : of a reading's length in sigmas, see `factors.robust`.
+    """
+
+    pose_key: npt_int
+    point_key: npt_int
+    mounting_key: int | None
+    pixels: Array
+    sigma_px: float
+    camera: StereoCamera
+    rotation_bc: Array
+    pos_bc: Array
+    loss: Loss = "none"
+    scale: float = 3.0
+
+    @property
+    def size(self) -> int:
+        """Rows of one error."""
+        return _ROWS
+
+    def only(self, rows: npt_int | np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> TrackFamily:
+        """Some of the readings."""
+        return replace(
+            self, pose_key=self.pose_key[rows], point_key=self.point_key[rows], pixels=self.pixels[rows]
+        )  # fmt: skip
+
+    def residuals(self, values: gtsam.Values) -> tuple[Array, list[Array]]:
+        """Whitened errors (K, 3) and Jacobians (K, 3, size) by pose, point and, where it is unknown, mounting.
+
+        A point that is not in front of the camera (an iteration gone astray) has no slope, and errors of a whole image.
+        """
+        pose, point = lookup.poses(values, self.pose_key), lookup.vectors(values, self.point_key)
+        unknown = np.zeros(6) if self.mounting_key is None else values.atVector(self.mounting_key)
+        turn_bc, place = self.rotation_bc @ so3.exp(unknown[:3]), self.pos_bc + unknown[3:]
+        point_b = _times(so3.transpose(pose[:, :3, :3]), point - pose[:, :3, 3])
+        good = np.flatnonzero((point_b - place) @ turn_bc[:, 2] > _NEAREST_M)
+        error = np.full((len(pose), _ROWS), 2 * self.camera.cx_px)
+        by_pose, by_point = np.zeros((len(pose), _ROWS, 6)), np.zeros((len(pose), _ROWS, 3))
+        by_mounting = np.zeros((len(pose), _ROWS, 6))
+        error[good], by_pose[good], by_point[good], by_mounting[good] = residual(
+            pose[good, :3, :3], pose[good, :3, 3], point[good], turn_bc, place, self.pixels[good], self.camera
+        )
+        jacobians = [by_pose, by_point]
+        if self.mounting_key is not None:
+            # of a pose's perturbation; here the angles are a vector, and the place is in b
+            by_mounting[:, :, :3] = by_mounting[:, :, :3] @ so3.right_jacobian(unknown[:3])
+            by_mounting[:, :, 3:] = by_mounting[:, :, 3:] @ turn_bc.T
+            jacobians.append(by_mounting)
+        return error / self.sigma_px, [each / self.sigma_px for each in jacobians]
+
+    def off(self, values: gtsam.Values) -> Array:
+        """Length (K,) of each whitened error."""
+        return np.asarray(np.linalg.norm(self.residuals(values)[0], axis=1))
+
+    def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> None:
+        """Append the whitened Jacobian factors at `values`."""
+        import gtsam
+
+        if not len(self.pose_key):
+            return
+        error, by = self.residuals(values)
+        excess = 0.0
+        if self.loss != "none":
+            length = np.linalg.norm(error, axis=1)
+            weight = weights(length, self.loss, self.scale)
+            excess = float((2 * losses(length, self.loss, self.scale) - weight * length**2).sum())
+            root = np.sqrt(weight)
+            error, by = root[:, None] * error, [root[:, None, None] * each for each in by]
+        unit, m = gtsam.noiseModel.Unit.Create(_ROWS), self.mounting_key
+        for k, (x, p) in enumerate(zip(self.pose_key.tolist(), self.point_key.tolist(), strict=True)):
+            if m is None:
+                linear.push_back(gtsam.JacobianFactor(x, by[0][k], p, by[1][k], -error[k], unit))
+            else:
+                linear.push_back(gtsam.JacobianFactor(x, by[0][k], p, by[1][k], m, by[2][k], -error[k], unit))
+        # a row of no variable's makes the linear graph's error that of the loss
+        rest = np.array([np.sqrt(max(excess, 0.0))])
+        held = int(self.pose_key[0])
+        linear.push_back(gtsam.JacobianFactor(held, np.zeros((1, 6)), rest, gtsam.noiseModel.Unit.Create(1)))
+
+
+def _times(matrix: Array, vectors: Array) -> Array:
+    out: Array = (matrix @ vectors[..., None])[..., 0]
+    return out

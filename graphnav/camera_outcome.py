@@ -1,0 +1,100 @@
+"""What became of a camera's motions: how many were left out, and what the user should know of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from factors.so3 import Array
+from graphnav.camera import Camera
+from graphnav.motions import MotionReadings
+from graphnav.problem import Problem, X
+from graphnav.tracks import TrackReadings
+
+#: The longest time without the camera that is passed over, s, and the share of readings of features left out that is.
+_GAP_S, _MANY = 10.0, 0.2
+
+
+def camera_warnings(problem: Problem, used: Camera, left_out: Camera) -> list[str]:
+    """One line for each thing that the camera's part in the solution could not use.
+
+    Parameters
+    ----------
+    used, left_out : what agrees with all else, and what does not.
+    """
+    lines = []
+    if used.motions is not None:
+        lines += _motion_warnings(problem, used.motions, left_out.motions)
+    if used.tracks is not None:
+        lines += _track_warnings(problem, used.tracks, left_out.tracks)
+    start_s, end_s = longest_gap(problem, *_covered(problem, used))
+    if end_s - start_s > _GAP_S:
+        lines.append(f"the camera says nothing from {start_s:.0f} to {end_s:.0f} s: the IMU alone bridges it")
+    return lines
+
+
+def left_out_counts(left_out: Camera) -> dict[str, int]:
+    """How many rows of each table were left out."""
+    counts = {"relative_pose": left_out.motions, "stereo_tracks": left_out.tracks}
+    return {table: len(part.row) for table, part in counts.items() if part is not None and len(part.row)}
+
+
+def _motion_warnings(problem: Problem, used: MotionReadings, left_out: MotionReadings | None) -> list[str]:
+    poses, lines = problem.log.relative_pose, []
+    assert poses is not None
+    wrong = 0 if left_out is None else len(left_out.row)
+    outside = len(poses) - len(used.row) - wrong
+    if wrong and left_out is not None:
+        first_s = float(poses.t_from_s[left_out.row].min())
+        lines.append(
+            f"{wrong} of {len(poses)} relative poses disagree with the rest and were left out, the first at"
+            f" {first_s:.1f} s"
+        )
+    if outside:
+        lines.append(f"{outside} of {len(poses)} relative poses are outside the IMU record, or shorter than a keyframe")
+    return lines
+
+
+def _track_warnings(problem: Problem, used: TrackReadings, left_out: TrackReadings | None) -> list[str]:
+    wrong = 0 if left_out is None else len(left_out.row)
+    if wrong <= _MANY * (wrong + len(used.row)):
+        return []
+    share = 100 * wrong / (wrong + len(used.row))
+    return [
+        f"{share:.0f} % of the readings of tracked features disagree with the rest and were left out:"
+        " the camera is moving among things that move, or [stereo] is not its calibration"
+    ]
+
+
+def _covered(problem: Problem, used: Camera) -> tuple[Array, Array]:
+    """Starts and ends of the times between keyframes that the camera ties."""
+    starts, ends = [], []
+    if used.motions is not None and problem.log.relative_pose is not None:
+        poses = problem.log.relative_pose
+        starts.append(poses.t_from_s[used.motions.row])
+        ends.append(poses.t_to_s[used.motions.row])
+    if used.tracks is not None:
+        keys = used.tracks.family.point_key
+        order = np.lexsort((used.tracks.family.pose_key, keys))
+        at = problem.keyframe_s[used.tracks.family.pose_key[order] - X(0)]
+        same = np.diff(keys[order]) == 0
+        starts.append(at[:-1][same])
+        ends.append(at[1:][same])
+    return np.concatenate(starts), np.concatenate(ends)
+
+
+def longest_gap(problem: Problem, from_s: Array, to_s: Array) -> tuple[float, float]:
+    """Start and end of the longest time that no motion (K,) covers, within the record and outside rest."""
+    order = np.argsort(from_s)
+    first, last = problem.keyframe_s[0], problem.keyframe_s[-1]
+    ends = np.maximum.accumulate(np.r_[first, to_s[order]])
+    starts = np.r_[from_s[order], last]
+    spans = [(float(a), float(b)) for a, b in zip(ends, starts, strict=True) if b > a]
+    for rest_from, rest_to in problem.frontend.rest_s:
+        spans = [part for span in spans for part in _without(span, float(rest_from), float(rest_to))]
+    return max(spans, key=lambda span: span[1] - span[0], default=(float(first), float(first)))
+
+
+def _without(span: tuple[float, float], start: float, end: float) -> list[tuple[float, float]]:
+    """What a span leaves outside another one."""
+    parts = [(span[0], min(span[1], start)), (max(span[0], end), span[1])]
+    return [part for part in parts if part[1] > part[0]]

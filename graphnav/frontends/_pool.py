@@ -1,0 +1,72 @@
+"""Work on many items in worker processes, results in order, and few of them waiting at a time."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+#: Items that a worker takes at a time, and batches per worker that are done or under way: results may be large.
+_BATCH, _AHEAD = 4, 3
+#: With fewer items than this a worker's start, about a second, costs more than it saves.
+_WORTH_IT = 100
+
+
+def in_order(work: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None) -> Iterator[Result]:
+    """What `work` returns for each item, in their order.
+
+    Parameters
+    ----------
+    work : can be pickled, as can what it returns.
+    items : what it is called with.
+    workers : number of processes; 1 works in this one; None takes one per core if there are many items.
+    """
+    if workers is None:
+        workers = (os.cpu_count() or 1) if len(items) >= _WORTH_IT else 1
+    if workers <= 1 or len(items) <= 1:
+        yield from map(work, items)
+        return
+    with _single_threads(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        try:
+            yield from _windowed(pool, work, items, workers * _AHEAD)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _windowed(
+    pool: ProcessPoolExecutor, work: Callable[[Item], Result], items: Sequence[Item], ahead: int
+) -> Iterator[Result]:
+    pending: deque[Future[list[Result]]] = deque()
+    for start in range(0, len(items), _BATCH):
+        pending.append(pool.submit(_each, work, items[start : start + _BATCH]))
+        if len(pending) >= ahead:
+            yield from pending.popleft().result()
+    while pending:
+        yield from pending.popleft().result()
+
+
+def _each(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    return [work(item) for item in items]
+
+
+@contextmanager
+def _single_threads() -> Iterator[None]:
+    """One thread for the libraries of processes started within: they read this when they are loaded."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

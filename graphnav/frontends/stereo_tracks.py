@@ -1,0 +1,125 @@
+"""Image pairs of a log -> the table `stereo_tracks`: features that are followed from frame to frame (paper, 4.2).
+
+Worker processes find features in both images of each pair (`stereo_sides`); this process follows them from pair to pair
+(`stereo_linking`). The result is the same for any number of workers.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from graphnav._stages import ProgressHook
+from graphnav.errors import LogError
+from graphnav.frontends._pool import in_order
+from graphnav.frontends.image_pairs import PairFiles, image_size, pair_files
+from graphnav.frontends.stereo_calibration_check import check_calibration
+from graphnav.frontends.stereo_linking import Linker, Sight
+from graphnav.frontends.stereo_sides import PairWork, Skipped
+from graphnav.log import SensorLog, StereoTracks
+
+if TYPE_CHECKING:
+    from graphnav.config import StereoTracksConfig
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """Features followed through a log's image pairs.
+
+    Attributes
+    ----------
+    tracks : the table.
+    t_s, counts : (K,) times of the frames that were used, and the number of features in each.
+    skipped : the frames that were not, and why.
+    seconds : how long it took.
+    """
+
+    tracks: StereoTracks
+    t_s: npt.NDArray[np.float64]
+    counts: npt.NDArray[np.int64]
+    skipped: tuple[Skipped, ...]
+    seconds: float
+
+    @property
+    def mean_length(self) -> float:
+        """Frames in which a track is seen, on average."""
+        return len(self.tracks) / len(np.unique(self.tracks.track))
+
+
+def tracked(
+    log: SensorLog,
+    settings: StereoTracksConfig | None = None,
+    workers: int | None = None,
+    progress: ProgressHook | None = None,
+) -> Tracked:
+    """Follow features through the image pairs of a log.
+
+    Parameters
+    ----------
+    log : with `stereo_pairs` that were read from a folder, and `stereo`.
+    settings : None takes the defaults.
+    workers : processes that find features; None takes one per core.
+    progress : called as ``progress("images", done, total)``.
+
+    Raises
+    ------
+    LogError
+        The log has no images, none is of use, an image is of another size than the rest, or the pairs do not look like
+        the declared camera's: sides swapped, not rectified.
+    """
+    from graphnav.config import StereoTracksConfig
+
+    began = time.perf_counter()
+    settings = settings or StereoTracksConfig()
+    files = pair_files(log)
+    sights, skipped = _followed(log, files, settings, workers, progress)
+    if not sights:
+        raise LogError(
+            f"none of {len(files)} image pairs is of use; the first: {skipped[0].reason}",
+            where=str(files[0].left),
+            fix="check the images, or choose an enhancement for dark ones (stereo_tracks.enhance)",
+        )
+    counts = np.array([len(sight.track) for sight in sights])
+    times = np.array([sight.t_s for sight in sights])
+    return Tracked(_table(sights, counts), times, counts, tuple(skipped), time.perf_counter() - began)
+
+
+def _followed(
+    log: SensorLog,
+    files: Sequence[PairFiles],
+    settings: StereoTracksConfig,
+    workers: int | None,
+    progress: ProgressHook | None,
+) -> tuple[list[Sight], list[Skipped]]:
+    """What is seen in the frames of use, and the other frames."""
+    camera = log.stereo
+    assert camera is not None
+    work = PairWork(settings, image_size(files, camera), camera.fx_px * camera.baseline_m)
+    check_calibration(files, work)
+    linker, sights, skipped = Linker(work, camera), list[Sight](), list[Skipped]()
+    for done, found in enumerate(in_order(work, files, workers), start=1):
+        if isinstance(found, LogError):
+            raise found
+        if isinstance(found, Skipped):
+            skipped.append(found)
+        else:
+            sights.append(linker(found))
+        if progress is not None:
+            progress("images", done, len(files))
+    return sights, skipped
+
+
+def _table(sights: Sequence[Sight], counts: npt.NDArray[np.int64]) -> StereoTracks:
+    uv = np.concatenate([sight.uv_px for sight in sights])
+    return StereoTracks(
+        t_s=np.repeat([sight.t_s for sight in sights], counts),
+        track=np.concatenate([sight.track for sight in sights]),
+        u_left_px=uv[:, 0],
+        u_right_px=np.concatenate([sight.u_right_px for sight in sights]),
+        v_px=uv[:, 1],
+    )

@@ -1,0 +1,173 @@
+"""Images of a simulated log: rendered frame by frame, or written to a folder by a pool of processes.
+
+A log in memory has the images' names only. What writes its folder has to write them too: the command line does, and
+`write_images` for a log that `graphnav.write` has written.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from graphnav._stages import ProgressHook
+from graphnav.errors import ConfigError, GraphnavError
+from graphnav.simulation.roadheader import frame_times, image_names, machine_of
+from graphnav.simulation.roadheader_camera import Grey, StereoCamera
+from graphnav.simulation.roadheader_figures import RoadheaderSpec
+from graphnav.simulation.scenarios import resolve
+from graphnav.simulation.world import image_seed
+
+_CHUNK = 16
+_COMPRESSION = 1  # noise does not compress: more of it costs time and saves 3 %
+
+
+class Renderer:
+    """The pairs of one seed's log, by the number of their frame; a pair is the same in whatever order they are drawn.
+
+    Parameters
+    ----------
+    spec, seed : as the log was simulated with.
+    """
+
+    def __init__(self, spec: RoadheaderSpec, seed: int) -> None:
+        machine = machine_of(spec, seed)
+        self.t_s = frame_times(spec, machine)
+        self._pos_n, self._rot_nb = machine.poses(self.t_s)
+        self._camera = StereoCamera(spec, image_seed(seed))
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def pair(self, frame: int) -> tuple[Grey, Grey]:
+        """Left and right image, ``(240, 424)`` 8-bit grey levels."""
+        return self._camera.pair(frame, float(self.t_s[frame]), self._pos_n[frame], self._rot_nb[frame])
+
+
+def render_pairs(scenario: str = "roadheader-stereo", seed: int = 0, **options: Any) -> Iterator[tuple[Grey, Grey]]:
+    """The pairs of a simulated log one after another, each rendered when it is asked for.
+
+    Parameters
+    ----------
+    scenario, seed, **options : as the log was simulated with.
+    """
+    renderer = Renderer(_with_images(scenario, options), seed)
+    return (renderer.pair(frame) for frame in range(len(renderer)))
+
+
+def write_images(
+    folder: str | os.PathLike[str],
+    scenario: str = "roadheader-stereo",
+    seed: int = 0,
+    *,
+    workers: int | None = None,
+    progress: ProgressHook | None = None,
+    **options: Any,
+) -> None:
+    """Write the images of a simulated log to the folders ``left`` and ``right`` of its folder, whole or not at all.
+
+    >>> log = gn.simulate("roadheader-stereo", seed=2)                             # doctest: +SKIP
+    >>> gn.write(log, "L")                                                         # doctest: +SKIP
+    >>> gn.simulation.write_images("L", "roadheader-stereo", seed=2)               # doctest: +SKIP
+
+    Parameters
+    ----------
+    folder : of the log.
+    scenario, seed, **options : as the log was simulated with.
+    workers : processes; by default one per core. The images do not depend on it.
+    progress : called with ("images", frames done, frames in all).
+
+    Raises
+    ------
+    ConfigError
+        An unknown scenario or option, or a scenario without images.
+    GraphnavError
+        The folder has images already, or cannot be written.
+    """
+    _with_images(scenario, options)
+    target = Path(folder)
+    draft = target / f".images.{uuid.uuid4().hex[:8]}"
+    for side in ("left", "right"):
+        if (target / side).exists():
+            raise GraphnavError(f"{target / side}: is there already; remove it, or choose another folder")
+    try:
+        draft.mkdir(parents=True)
+        render_into(scenario, seed, options, draft, workers=workers, progress=progress)
+        for side in ("left", "right"):
+            (draft / side).rename(target / side)
+    except OSError as error:
+        raise GraphnavError(f"{target}: images cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def render_into(
+    scenario: str,
+    seed: int,
+    options: Mapping[str, Any],
+    folder: Path,
+    *,
+    workers: int | None = None,
+    progress: ProgressHook | None = None,
+) -> None:
+    """Render all pairs of a log to new folders ``left`` and ``right`` in `folder`; see `write_images`."""
+    spec = _with_images(scenario, options)
+    for side in ("left", "right"):
+        (folder / side).mkdir()
+    count = len(frame_times(spec, machine_of(spec, seed)))
+    chunks = [range(first, min(first + _CHUNK, count)) for first in range(0, count, _CHUNK)]
+    workers = min(workers or os.cpu_count() or 1, len(chunks))
+    done = 0
+    for frames in _mapped(partial(_render_chunk, folder), chunks, workers, (spec, seed)):
+        done += frames
+        if progress is not None:
+            progress("images", done, count)
+
+
+_renderer: Renderer | None = None
+
+
+def _start(spec: RoadheaderSpec, seed: int) -> None:
+    """Make the scene once in each process."""
+    global _renderer
+    _renderer = Renderer(spec, seed)
+
+
+def _mapped(
+    work: Callable[[range], int], chunks: list[range], workers: int, scene: tuple[RoadheaderSpec, int]
+) -> Iterator[int]:
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    if workers == 1:
+        _start(*scene)
+        yield from map(work, chunks)
+        return
+    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start, initargs=scene) as pool:
+        try:
+            yield from pool.map(work, chunks)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _render_chunk(folder: Path, frames: range) -> int:
+    from PIL import Image
+
+    assert _renderer is not None  # _start has run in this process
+    names = image_names(len(_renderer))
+    for frame in frames:
+        for side, image in zip(names, _renderer.pair(frame), strict=True):
+            Image.fromarray(image).save(folder / side[frame], compress_level=_COMPRESSION)
+    return len(frames)
+
+
+def _with_images(scenario: str, options: Mapping[str, Any]) -> RoadheaderSpec:
+    spec = resolve(scenario, options)
+    if not isinstance(spec, RoadheaderSpec) or not spec.images:
+        raise ConfigError(f"{scenario}: no images with these options; use roadheader-stereo with images")
+    return spec
