@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from factors.relative_pose import Chain
 from factors.so3 import Array
 from graphnav.config import Config
 from graphnav.errors import LogError
-from graphnav.frontends.motion_chain import motion_chain
+from graphnav.frontends.motion_chain import guiding_chain, motion_chain
 from graphnav.keyframes import Frontend
 from graphnav.log import InitialState, SensorLog
 
@@ -22,6 +22,7 @@ class ChainProblem:
     frontend: Frontend
     chain: Chain
     initial: InitialState
+    notes: tuple[str, ...] = ()
 
     @property
     def keyframe_s(self) -> Array:
@@ -29,7 +30,7 @@ class ChainProblem:
         return self.frontend.keyframe_s
 
 
-def pose_chain(log: SensorLog, config: Config, frontend: Frontend) -> ChainProblem:
+def pose_chain(log: SensorLog, config: Config, frontend: Frontend, notes: tuple[str, ...] = ()) -> ChainProblem:
     """Check what smoothing by relative poses needs.
 
     Raises
@@ -38,4 +39,6 @@ def pose_chain(log: SensorLog, config: Config, frontend: Frontend) -> ChainProbl
     """
     if log.initial is None:
         raise LogError("missing", where="log.toml, [initial]", fix="give the initial pose with its sigmas")
-    return ChainProblem(log, config, frontend, motion_chain(log), log.initial)
+    guide = frontend.guide
+    chain = motion_chain(log) if guide is None else guiding_chain(replace(log, relative_pose=guide))
+    return ChainProblem(log, config, frontend, chain, log.initial, notes)

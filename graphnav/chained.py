@@ -27,10 +27,10 @@ from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
-from graphnav.log import SensorLog
 from graphnav.markov_errors import slots
 from graphnav.problem import SIZES, A, D, X
 from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
+from graphnav.sighted import Sighted
 from graphnav.solvers import batch
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.tracks import track_readings
@@ -46,16 +46,17 @@ METHODS = ("batch", "dead-reckoning")
 _NO_SPANS = np.zeros((0, 2))
 _DIMS = {**{chr(letter): size for letter, size in SIZES.items()}, "s": 1}
 #: Tables and sections that only a graph with an IMU makes use of.
-_UNUSED = {"odometer": "table odometer", "face": "section [face]", "stereo_pairs": "table stereo"}
+_UNUSED = {"odometer": "table odometer", "face": "section [face]"}
 
 
-def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:
+def run_chain(sighted: Sighted, config: Config, method: str, stages: Stages) -> Run:
     """Smooth a log that has relative poses in place of an IMU.
 
     Raises
     ------
     LogError : bad input; ConfigError : a method that needs an IMU; SolveError : no convergence, or a singular problem.
     """
+    log = sighted.log
     if method not in METHODS:
         raise ConfigError(
             f"{method} needs an IMU, and log {log.name} has none: its relative poses serve {' and '.join(METHODS)}"
@@ -66,7 +67,8 @@ def run_chain(log: SensorLog, config: Config, method: str, stages: Stages) -> Ru
         )
     with stages.stage("frontend"):
         refuse_wrong_units(log, _NO_SPANS)
-        problem = pose_chain(log, config, run_frontend(replace(log, odometer=None), config, _NO_SPANS))
+        frontend = run_frontend(replace(log, odometer=None), config, _NO_SPANS, sighted.guide)
+        problem = pose_chain(log, config, frontend, sighted.notes)
     with stages.stage("assemble"):
         way = placed(problem, reckoned(problem))
     if method == "dead-reckoning":
@@ -182,9 +184,10 @@ def _diagnostics(
 
 
 def _warnings(problem: ChainProblem) -> list[str]:
-    """What the log holds that takes no part."""
+    """What the log holds that takes no part, and what the user should know of its camera."""
     log = problem.log
-    found = [
+    found = list(problem.notes)
+    found += [
         f"the {what} is not used without an IMU" for name, what in _UNUSED.items() if getattr(log, name) is not None
     ]
     given = (len(log.position) if log.position is not None else 0) + len(log.surveyed)

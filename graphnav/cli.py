@@ -115,7 +115,11 @@ def _add_import(group: Any) -> None:
         help=", ".join(sorted(commands.IMPORTERS)),
     )
     parser.add_argument(
-        "source", type=Path, metavar="SRC", nargs="?", help="folder of the data; kitti-gtsam and plaza come with gtsam"
+        "source",
+        type=Path,
+        metavar="SRC",
+        nargs="?",
+        help="folder of the data; kitti-gtsam, kitti-tracks and plaza come with gtsam",
     )
     _add_log_output(parser)
     parser.add_argument("--wheel-scale", type=float, help="comma2k19: known scale-factor error of the wheels")

@@ -27,12 +27,14 @@ IMPORTERS = {
     "comma2k19": ("graphnav.readers.comma2k19", ("wheel_scale",)),
     "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
     "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
+    "kitti-stereo": ("graphnav.readers.kitti_stereo", ()),
+    "kitti-tracks": ("graphnav.readers.kitti_tracks", ()),
     "lego": ("graphnav.readers.lego", ()),
     "plaza": ("graphnav.readers.plaza", ()),
     "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg", "stereo")),
 }
 #: Formats whose data come with the gtsam package.
-_WITH_GTSAM = ("kitti-gtsam", "plaza")
+_WITH_GTSAM = ("kitti-gtsam", "kitti-tracks", "plaza")
 
 
 def demo(arguments: argparse.Namespace) -> None:
@@ -60,6 +62,7 @@ def info(arguments: argparse.Namespace) -> None:
 
 def import_log(arguments: argparse.Namespace) -> None:
     """Convert recorded data to a log folder."""
+    from graphnav.readers.image_files import gathered
     from graphnav.report.terminal import working
 
     module, options = IMPORTERS[arguments.format]
@@ -72,8 +75,8 @@ def import_log(arguments: argparse.Namespace) -> None:
     if arguments.source is None and arguments.format not in _WITH_GTSAM:
         raise GraphnavError(f"{arguments.format} needs SRC, the folder of its data")
     with working("converting"):
-        log = importlib.import_module(module).convert(arguments.source, **chosen)
-        _write(log, arguments)
+        log, images = gathered(importlib.import_module(module).convert(arguments.source, **chosen))
+        _write(log, arguments, images)
 
 
 def simulate(arguments: argparse.Namespace) -> None:

@@ -151,8 +151,6 @@ class StereoConfig(_Section):
     form: Literal["tight", "loose", "off"] = Field(
         "tight", description="every feature a point of the graph, or relative poses from them; off: neither"
     )
-    moved_px: float = Field(8.0, gt=0, description="a keyframe where features have moved this far since the last one")
-    shared: float = Field(0.6, gt=0, lt=1, description="or fewer than this share of them are still seen")
     loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
         "geman-mcclure", description="how readings that disagree are found; none: all count in full"
     )
@@ -173,6 +171,24 @@ class StereoTracksConfig(_Section):
     min_features: int = Field(12, ge=3, description="a frame with fewer is skipped")
     min_depth_m: float = Field(1.0, gt=0, description="nothing is nearer; it bounds the disparities looked at")
     min_disparity_px: float = Field(0.5, ge=0, description="features farther away than this tells are left out")
+
+
+class StereoMotionsConfig(_Section):
+    """Motions of the stereo camera from tracked points."""
+
+    min_inliers: int = Field(20, ge=6, description="fewest points that have to agree on a motion")
+    inlier_sigmas: float = Field(4.0, gt=0, description="points that are off by more are taken for wrong matches")
+    shared: float = Field(
+        0.7, gt=0, lt=1, description="the next keyframe is the last that sees this share of a keyframe's features"
+    )
+    keyframe_m: float = Field(0.5, gt=0, description="and, where frames are close enough, not much farther away")
+    keyframe_deg: float = Field(10.0, gt=0, description="nor turned by much more")
+    rotation_prior: Literal["off", "gate", "fuse"] = Field(
+        "gate",
+        description="what the IMU's rotation is for: rejecting wrong motions, or also improving them (stereo alone;"
+        " beside the IMU in a graph it would count twice)",
+    )
+    rotation_gate_sigmas: float = Field(5.0, gt=0, description="a motion turned farther from it is a failure")
 
 
 class FilterConfig(_Section):
@@ -257,6 +273,7 @@ class Config(_Section):
     relative_pose: RelativePoseConfig = RelativePoseConfig()
     stereo: StereoConfig = StereoConfig()
     stereo_tracks: StereoTracksConfig = StereoTracksConfig()
+    stereo_motions: StereoMotionsConfig = StereoMotionsConfig()
     batch: BatchConfig = BatchConfig()
     isam2: Isam2Config = Isam2Config()
     filter: FilterConfig = FilterConfig()

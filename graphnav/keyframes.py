@@ -13,8 +13,7 @@ from graphnav.errors import LogError
 from graphnav.frontends.cutting_cycles import ClosedPathPoint, Cycle, closed_path_points, find_cycles, mileage
 from graphnav.frontends.ranging_spans import RangingSpan, ranging_keyframes, ranging_spans
 from graphnav.frontends.rest import rest_spans
-from graphnav.frontends.views import view_times
-from graphnav.log import SensorLog
+from graphnav.log import RelativePose, SensorLog
 
 #: Measurements closer than this share a keyframe (at 1 m/s it is a millimetre).
 SAME_S = 1e-3
@@ -33,6 +32,7 @@ class Frontend:
     rest_s : (K, 2) spans at rest.
     fixes : (time, position (3,), sigma (3,)) of absolute positions and surveyed points.
     ranging : spans of UWB ranges.
+    guide : motions of the camera that lead to initial values and are no measurements of their own.
     """
 
     keyframe_s: Array
@@ -41,6 +41,7 @@ class Frontend:
     rest_s: Array
     fixes: tuple[tuple[float, Array, Array], ...]
     ranging: tuple[RangingSpan, ...] = ()
+    guide: RelativePose | None = None
 
     def index(self, t_s: float) -> int:
         """The keyframe nearest to a time."""
@@ -49,7 +50,9 @@ class Frontend:
         return right - 1 if left_nearer else right
 
 
-def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) -> Frontend:
+def run_frontend(
+    log: SensorLog, config: Config, rest_s: Array | None = None, guide: RelativePose | None = None
+) -> Frontend:
     """Find cycles, closed-path points, rest and fixes, and place the keyframes.
 
     Policy: a keyframe at the start and end of the IMU record, at the exact time of every measurement that needs one
@@ -59,6 +62,7 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
     Parameters
     ----------
     rest_s : (K, 2) spans at rest where they are known already; None finds them.
+    guide : motions of the camera between frames that become keyframes.
     """
     start, end = _record(log)
     cycles = find_cycles(log)
@@ -73,15 +77,15 @@ def run_frontend(log: SensorLog, config: Config, rest_s: Array | None = None) ->
         wanted += np.unique(log.lidar_points.t_s).tolist()
     if log.imu is not None and log.relative_pose is not None and config.relative_pose.use:
         wanted += log.relative_pose.t_from_s.tolist() + log.relative_pose.t_to_s.tolist()
-    if log.stereo_tracks is not None and config.stereo.form == "tight":
-        wanted += view_times(log.stereo_tracks, config.stereo.moved_px, config.stereo.shared).tolist()
+    if guide is not None:
+        wanted += guide.t_from_s.tolist() + guide.t_to_s.tolist()
     ranging = () if log.uwb is None or not config.uwb.use else ranging_spans(log.uwb, start, end)
     if log.uwb is not None:
         wanted += ranging_keyframes(log.uwb, ranging, config.keyframes.interval_s).tolist()
     times = place_keyframes(start, end, np.array(wanted, float), config, log)
     found = rest_spans(log) if rest_s is None and config.rest.use else rest_s
     rest = found if found is not None and config.rest.use else np.zeros((0, 2))
-    return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes, ranging)
+    return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes, ranging, guide)
 
 
 def _record(log: SensorLog) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from factors.relative_pose import seen_from
 from factors.so3 import Array
 from graphnav.frontends.motion_chain import camera_motions, camera_mounting, check_motions
 from graphnav.leg_means import npt_bool
+from graphnav.log import RelativePose
 from graphnav.mounting import mounting_unknown
 from graphnav.problem import E, Problem, X
 
@@ -71,7 +72,7 @@ class Steps:
 
 def camera_steps(problem: Problem) -> Steps | None:
     """Those of the log's relative poses; of motions that overlap, each that begins after the one before has ended."""
-    readings = motion_readings(problem)
+    readings = guiding_readings(problem)
     if readings is None or not len(readings.row):
         return None
     family = readings.family
@@ -120,9 +121,18 @@ def motion_readings(problem: Problem) -> MotionReadings | None:
     ------
     LogError : a motion that takes no time, or whose covariance is none; by row.
     """
-    poses, stereo = problem.log.relative_pose, problem.log.stereo
-    if poses is None or not uses_motions(problem):
-        return None
+    poses = problem.log.relative_pose
+    return None if poses is None or not uses_motions(problem) else _readings(problem, poses)
+
+
+def guiding_readings(problem: Problem) -> MotionReadings | None:
+    """What there is of motions to find the way by: the log's own, or those that only guide."""
+    guide = problem.frontend.guide
+    return motion_readings(problem) if guide is None else _readings(problem, guide)
+
+
+def _readings(problem: Problem, poses: RelativePose) -> MotionReadings:
+    stereo = problem.log.stereo
     check_motions(poses)
     ends = [nearest(problem.keyframe_s, t_s) for t_s in (poses.t_from_s, poses.t_to_s)]
     inside = (poses.t_from_s >= problem.keyframe_s[0] - _SAME_S) & (poses.t_to_s <= problem.keyframe_s[-1] + _SAME_S)

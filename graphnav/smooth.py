@@ -28,6 +28,7 @@ from graphnav.problem import Problem, pose_problem
 from graphnav.range_outcome import anchor_counts, clock_warnings, range_residuals, range_warnings, rejected
 from graphnav.run import Diagnostics, Run
 from graphnav.scanned import with_scanned_legs
+from graphnav.sighted import Sighted, with_stereo
 from graphnav.solution import Solved, solve_batch, solve_isam2
 from graphnav.trajectory import Trajectory
 
@@ -70,11 +71,14 @@ def smooth(
         from graphnav.stereo_filtered import run_stereo
 
         return run_stereo(log, config or Config(), stages)
-    if log.imu is None and log.relative_pose is not None:
-        from graphnav.chained import run_chain
+    config = config or Config()
+    if log.imu is None:
+        sighted = _sighted(log, config, stages)
+        if sighted.log.relative_pose is not None or sighted.guide is not None:
+            from graphnav.chained import run_chain
 
-        return run_chain(log, config or Config(), method, stages)
-    problem = _posed(log, config or Config(), stages)
+            return run_chain(sighted, config, method, stages)
+    problem = _posed(log, config, stages)
     if method in GRAPH_METHODS:
         return _by_graph(problem, method, stages)
     if method in LEG_METHODS:
@@ -100,12 +104,18 @@ def posed(log: SensorLog | str | Path, config: Config, stages: Stages) -> Proble
 
 
 def _posed(log: SensorLog, config: Config, stages: Stages) -> Problem:
+    sighted = _sighted(log, config, stages)
     with stages.stage("frontend"):
         rest = rest_spans(log)
         refuse_wrong_units(log, rest)
-        log, notes = with_scanned_legs(log, config)
-        frontend = run_frontend(log, config, rest)
-        return pose_problem(log, config, frontend, notes)
+        log, notes = with_scanned_legs(sighted.log, config)
+        frontend = run_frontend(log, config, rest, sighted.guide)
+        return pose_problem(log, config, frontend, (*sighted.notes, *notes))
+
+
+def _sighted(log: SensorLog, config: Config, stages: Stages) -> Sighted:
+    with stages.stage("frontend") as tick:
+        return with_stereo(log, config, tick)
 
 
 def _opened(log: SensorLog | str | Path, stages: Stages) -> SensorLog:

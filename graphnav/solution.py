@@ -23,7 +23,7 @@ from graphnav.initial import States, initial_values, start_state
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
-from graphnav.motions import motion_readings
+from graphnav.motions import guiding_readings
 from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, RangeClock, T, X
@@ -112,7 +112,7 @@ def solve_isam2(problem: Problem, stages: Stages) -> Solved:
         start, gyro_bias = start_state(problem)
         data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
         ranges = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
-        factors = _near_the_start(problem, start) + build_factors(problem, data, ranges, motion_readings(problem))
+        factors = _near_the_start(problem, start) + build_factors(problem, data, ranges, guiding_readings(problem))
     with stages.stage("solve") as tick:
         passed = incremental.solve(problem, data, factors, start, problem.config.isam2, tick)
         del factors

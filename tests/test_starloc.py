@@ -228,11 +228,17 @@ def test_clock_of_the_images(recordings: Path, name: str) -> None:
     assert spread(0.0) < 0.75 * min(spread(-0.03), spread(0.03))
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
-def test_declared_sigma_of_a_pixel_is_about_that_of_the_rows(recordings: Path, name: str) -> None:
-    table = NamedCsv(recordings / name / "apriltag_cal_global.csv")
-    rows = table.column("left_v") - table.column("right_v")
-    assert 0.5 < np.sqrt((rows**2).mean() / 2) / with_camera(recordings / name).stereo.sigma_px < 1.5
+@pytest.mark.slow
+def test_tags_agree_with_imu_and_ranges_as_declared(recordings: Path) -> None:
+    """Few readings are left out (a wrongly read tag or two); with the sigma of the rows alone a quarter is."""
+    source = recordings / RECORDINGS[1]
+    found = with_camera(source)
+    rows = found.stereo.replace(sigma_px=0.5)
+    left_out, seen = [], len(found.stereo_tracks)
+    for each in (found, dataclasses.replace(found, stereo=rows)):
+        left_out.append(gn.smooth(dataclasses.replace(each, truth=None)).diagnostics.rejected.get("stereo_tracks", 0))
+    assert left_out[0] < 0.03 * seen
+    assert left_out[1] > 0.15 * seen
 
 
 def test_the_camera_is_there_on_demand_and_changes_nothing_else(recordings: Path) -> None:

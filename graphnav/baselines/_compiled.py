@@ -16,3 +16,8 @@ def compiled(function: F) -> F:
         return cast(F, njit(cache=True, error_model="numpy")(function))
     except RuntimeError:  # neither beside the file nor in the user's cache folder
         return cast(F, njit(error_model="numpy")(function))
+
+
+def inlined(function: F) -> F:
+    """Code that becomes part of each compiled function that calls it, for what is called millions of times."""
+    return cast(F, njit(error_model="numpy", inline="always")(function))

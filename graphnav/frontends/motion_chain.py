@@ -19,6 +19,8 @@ from graphnav.log import RelativePose, SensorLog, Stereo
 
 #: A motion that begins this close to the end of the one before it follows it; at most a tenth of that motion.
 _SAME_S, _SAME_SHARE = 1e-3, 0.1
+#: What the covariance of a motion is multiplied by where it only guides.
+_GUIDING = 1e6
 _UPPER = np.triu_indices(6)
 
 
@@ -119,6 +121,15 @@ def motion_chain(log: SensorLog) -> Chain:
     check_motions(poses)
     _refuse(poses, _apart(poses) != 0)
     return Chain.of(np.append(poses.t_from_s, poses.t_to_s[-1]), body_motions(poses, log.stereo))
+
+
+def guiding_chain(log: SensorLog) -> Chain:
+    """The motions of a log one behind the other, of which another sensor's features say the same better.
+
+    They keep the graph in one piece where these say nothing, and else count for a millionth.
+    """
+    chain = motion_chain(log)
+    return Chain(chain.t_s, chain.rotation, chain.pos, chain.cov * _GUIDING)
 
 
 def check_motions(poses: RelativePose) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from graphnav.config import StereoTracksConfig
 
 #: Correlation of a patch with what it is found to be.
-LEAST_SIMILARITY = 0.75
+LEAST_SIMILARITY = 0.85
 #: How far the place to a fraction of a pixel may be from the matched one, px.
 MOST_SHIFT_PX = 2.0
 

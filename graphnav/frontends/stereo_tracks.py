@@ -18,6 +18,7 @@ from graphnav._stages import ProgressHook
 from graphnav.errors import LogError
 from graphnav.frontends._pool import in_order
 from graphnav.frontends.image_pairs import PairFiles, image_size, pair_files
+from graphnav.frontends.stereo_cache import cache_file, keep, kept
 from graphnav.frontends.stereo_calibration_check import check_calibration
 from graphnav.frontends.stereo_linking import Linker, Sight
 from graphnav.frontends.stereo_sides import PairWork, Skipped
@@ -56,6 +57,7 @@ def tracked(
     settings: StereoTracksConfig | None = None,
     workers: int | None = None,
     progress: ProgressHook | None = None,
+    cache: bool = True,
 ) -> Tracked:
     """Follow features through the image pairs of a log.
 
@@ -65,6 +67,7 @@ def tracked(
     settings : None takes the defaults.
     workers : processes that find features; None takes one per core.
     progress : called as ``progress("images", done, total)``.
+    cache : take the tracks that an earlier call has kept in the log's folder, or keep them there.
 
     Raises
     ------
@@ -74,9 +77,25 @@ def tracked(
     """
     from graphnav.config import StereoTracksConfig
 
-    began = time.perf_counter()
     settings = settings or StereoTracksConfig()
     files = pair_files(log)
+    path = cache_file(log, files, settings) if cache else None
+    found = None if path is None else kept(path)
+    if found is None:
+        found = _tracked(log, files, settings, workers, progress)
+        if path is not None:
+            keep(found, path)
+    return found
+
+
+def _tracked(
+    log: SensorLog,
+    files: Sequence[PairFiles],
+    settings: StereoTracksConfig,
+    workers: int | None,
+    progress: ProgressHook | None,
+) -> Tracked:
+    began = time.perf_counter()
     sights, skipped = _followed(log, files, settings, workers, progress)
     if not sights:
         raise LogError(

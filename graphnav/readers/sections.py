@@ -19,6 +19,8 @@ from graphnav.errors import LogError
 from graphnav.log import SECTIONS, TABLES, SensorLog, SurveyedPoint
 
 LOG_FILE = "log.toml"
+#: Folder in a log where results are kept that can be made again; no part of the log.
+CACHE_FOLDER = ".graphnav"
 FORMAT = "graphnav-log/1"
 
 #: Section name -> class, for every section of log.toml.

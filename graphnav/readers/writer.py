@@ -13,10 +13,8 @@ from graphnav.errors import LogError
 from graphnav.log import TABLES, SensorLog
 from graphnav.readers import sections
 from graphnav.readers.folder import check_pairs
-from graphnav.readers.sections import LOG_FILE
+from graphnav.readers.sections import CACHE_FOLDER, LOG_FILE
 from graphnav.readers.tables import SUFFIXES, write_table
-
-_IMAGE_FOLDERS = ("left", "right")
 
 
 def write(
@@ -33,7 +31,7 @@ def write(
     Parameters
     ----------
     log : the log.
-    path : the folder. One that is empty or holds a log and nothing else is replaced.
+    path : the folder. One that is empty or holds a log and nothing else is replaced; images are something else.
     tables : file type of the tables; scans, which have a list column, are parquet in either case.
     overwrite : replace a folder that holds anything else, too.
     images : called with the folder before it is put in its place, to write the images there.
@@ -69,19 +67,15 @@ def _check_target(target: Path, overwrite: bool) -> None:
         raise LogError("a file, expected a folder to write the log to", where=str(target), fix="choose another path")
     if overwrite or not target.exists():
         return
-    others = sorted(p.name for p in target.iterdir() if not (_is_log_file(p) or _is_of_images(p)))
+    others = sorted(p.name for p in target.iterdir() if not _is_log_file(p))
     if others:
         problem = f"the folder holds {others[0]}, which is no part of a log"
         raise LogError(problem, where=str(target), fix="choose another folder, or overwrite it explicitly")
 
 
-def _is_of_images(path: Path) -> bool:
-    """Whether this is a folder of a log's images and nothing else."""
-    of_log = path.name in _IMAGE_FOLDERS and path.is_dir() and (path.parent / LOG_FILE).exists()
-    return of_log and all(image.suffix == ".png" for image in path.iterdir())
-
-
 def _is_log_file(path: Path) -> bool:
+    if path.name == CACHE_FOLDER:
+        return path.is_dir()
     return path.is_file() and (path.name == LOG_FILE or (path.stem in TABLES and path.suffix in SUFFIXES))
 
 

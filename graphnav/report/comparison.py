@@ -33,6 +33,9 @@ _LINES: tuple[tuple[str, Any, float], ...] = (
     ("#332288", "-", 1.0),
     ("#999933", "-", 1.0),
     ("#44AA99", (0, (3.0, 1.5)), 1.4),
+    ("#117733", "-", 1.0),
+    ("#AA4499", "-", 1.0),
+    ("#661100", (0, (3.0, 1.5)), 1.4),
 )
 #: Methods whose errors differ by more than this factor share no linear axis.
 _SPREAD = 8.0

@@ -69,8 +69,8 @@ def simulate(scenario: str, seed: int = 0, **options: Any) -> SensorLog:
     """Simulate a reference scenario.
 
     The images of roadheader-stereo are named in the log but not made. ``graphnav simulate roadheader-stereo -o L``
-    writes both; ``gn.write(log, "L")`` writes the log alone, and then
-    ``gn.simulation.write_images("L", "roadheader-stereo", seed, ...)`` its images.
+    writes both; ``gn.write(log, "L")`` writes the log alone, and then `write_images` its images:
+    ``write_images("L", "roadheader-stereo", seed, ...)``.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """The light that reaches each pixel: rays to a box with arches, textures, lamps and dust, compiled.
 
-Rays are cut with planes in closed form. Where neighbouring pixels see different surfaces, four rays a pixel smooth the
+Rays are cut with planes in closed form. Where neighbouring pixels see different surfaces, three rays a pixel smooth the
 rim; within a surface the texture's reduction to the pixel's footprint does.
 """
 
@@ -11,21 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from graphnav.baselines._compiled import compiled
+from graphnav.baselines._compiled import compiled, inlined
 from graphnav.simulation.roadway_surfaces import ARCH_LEFT, FACE, FLOOR, ROOF, SIDE_LEFT
 
 # The cache of compiled code looks at this file alone: constants of others have to be among the arguments.
 AIR_HALF_M = 2.0  # light is tabulated over ``t / (t + AIR_HALF_M)`` for depth t: 0 at the camera, 1 far away
-_SIGHT_M = (
-    12.0  # at 15 m visibility a wall farther away gives less than half an electron: no need to look at it closely
-)
+_SIGHT_M = 12.0  # at 15 m visibility a wall farther away gives less than half an electron: no need to look closely
 _DIM = 0.25
+_APART_PX = 1 / 3
 _RIM_M = 8.0  # and 5 electrons, where the dust in front of it gives 60: its rims are lost in noise of 9
 
 # Inside compiled code the surfaces of one kind are counted from the one on the left: left, right, roof.
 
 
-@compiled
+@inlined
 def trace(box: Any, p: Any, dx: float, dy: float, dz: float) -> tuple[int, int, float]:
     """The surface that a ray from `p` meets first, its arch (0 for none) and how many times ``d`` it is away."""
     left, right, floor, roof, back, face, spacing, width, depth, arches = box
@@ -61,7 +60,7 @@ def trace(box: Any, p: Any, dx: float, dy: float, dz: float) -> tuple[int, int, 
     return (1 if dx > 0 else 0), 0, wall
 
 
-@compiled
+@inlined
 def _level(texels: float, levels: int) -> tuple[int, float]:
     """The reduction for a footprint and the share of the next one: nearly its logarithm to two."""
     level = 0
@@ -71,7 +70,7 @@ def _level(texels: float, levels: int) -> tuple[int, float]:
     return level, (0.0 if texels < 1 else (1.0 if texels > 2 else texels - 1))
 
 
-@compiled
+@inlined
 def _bilinear(texels: Any, start: int, rows: int, columns: int, x: float, y: float) -> float:
     x = 0.0 if x < 0 else (columns - 1.001 if x > columns - 1.001 else x)
     y = 0.0 if y < 0 else (rows - 1.001 if y > rows - 1.001 else y)
@@ -85,7 +84,7 @@ def _bilinear(texels: Any, start: int, rows: int, columns: int, x: float, y: flo
     return found
 
 
-@compiled
+@inlined
 def _lookup(texels: Any, place: Any, surface: int, along: float, across: float, wide: float, high: float) -> float:
     """Texture at a point (texels) over a footprint (texels): linear between texels and between reductions."""
     i, a = _level(wide, place.shape[1])
@@ -107,7 +106,7 @@ def _lookup(texels: Any, place: Any, surface: int, along: float, across: float, 
     return total / 255
 
 
-@compiled
+@inlined
 def _seen(
     box: Any,
     texels: Any,
@@ -209,13 +208,10 @@ def cast(
                     rim, nearest = True, min(nearest, depth[i, j])
             if not rim or nearest > _RIM_M:
                 continue
-            total, scattered = 0.0, 0.0
-            for q in range(4):
-                a, b = (q % 2) - 0.5, (q // 2) - 0.5
-                du, dv = 0.5 * a + 0.25 * b, 0.5 * b - 0.25 * a
-                found = _seen(
-                    box, texels, place, texel, p, rot, pixel, (u + du - cx) * pixel, (v + dv - cy) * pixel, glow, v, u
-                )
+            total, scattered = light[v, u], air[v, u]
+            for side in range(-1, 2, 2):
+                x, y = (u + side * _APART_PX - cx) * pixel, (v + side * _APART_PX - cy) * pixel
+                found = _seen(box, texels, place, texel, p, rot, pixel, x, y, glow, v, u)
                 total += found[2]
                 scattered += found[3]
-            light[v, u], air[v, u] = total / 4, scattered / 4
+            light[v, u], air[v, u] = total / 3, scattered / 3

@@ -70,9 +70,8 @@ def write_images(
 ) -> None:
     """Write the images of a simulated log to the folders ``left`` and ``right`` of its folder, whole or not at all.
 
-    >>> log = gn.simulate("roadheader-stereo", seed=2)                             # doctest: +SKIP
-    >>> gn.write(log, "L")                                                         # doctest: +SKIP
-    >>> gn.simulation.write_images("L", "roadheader-stereo", seed=2)               # doctest: +SKIP
+    >>> gn.write(gn.simulate("roadheader-stereo", seed=2), "L")                    # doctest: +SKIP
+    >>> write_images("L", "roadheader-stereo", seed=2)                             # doctest: +SKIP
 
     Parameters
     ----------

@@ -15,13 +15,13 @@ import numpy as np
 from factors.increments import npt_int
 from factors.inertial import predict
 from factors.so3 import Array
+from graphnav.camera import uses_camera
 from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
 from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
 from graphnav.legs import uses_legs
 from graphnav.markov_errors import slots
-from graphnav.motions import uses_motions
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.solvers.absolute import predicted_factor
@@ -109,7 +109,7 @@ class _Session:
         self.theta = self.isam.getLinearizationPoint()
         self.rotation, self.pos, self.vel = start.rotation_nb[0], start.pos_n[0], start.vel_n[0]
         self.pending, self.values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        self.anew = bool(creep_cycles(problem)) or bool(slots(problem)) or uses_motions(problem)
+        self.anew = bool(creep_cycles(problem)) or bool(slots(problem)) or uses_camera(problem)
         self.slots = slots(problem)
         self.predicted: list[gtsam.NonlinearFactor] = []
         self.relinearized, self.reeliminated = 0, list[int]()

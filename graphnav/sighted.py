@@ -1,0 +1,91 @@
+"""A log with a stereo camera: features are followed through its images, and motions found, before smoothing."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from graphnav.config import Config
+from graphnav.errors import LogError
+from graphnav.frontends.gyro_turns import gyro_turns
+from graphnav.frontends.rest import rest_spans
+from graphnav.log import RelativePose, SensorLog
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """A log as it is smoothed.
+
+    Attributes
+    ----------
+    log : with tracked features in place of images, or with the motions found from them (`stereo.form` says which).
+    guide : motions of the camera that are no measurement of their own, but lead to initial values; or None.
+    notes : what the user should know of it, one line each.
+    """
+
+    log: SensorLog
+    guide: RelativePose | None = None
+    notes: tuple[str, ...] = ()
+
+
+def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None) -> Sighted:
+    """The log with what its camera saw; as it is where it has no camera, or where that is not to be used.
+
+    Raises
+    ------
+    LogError : images that cannot be read, or that are not those of the declared camera.
+    """
+    if config.stereo.form == "off" or (log.stereo_pairs is None and log.stereo_tracks is None):
+        return Sighted(log)
+    if log.stereo is None:
+        table = "stereo_tracks" if log.stereo_tracks is not None else "stereo"
+        return Sighted(log, None, (f"the table {table} is not used: declare the camera in a section [stereo]",))
+    if log.stereo_tracks is None and log.relative_pose is not None:
+        return Sighted(log, None, ("the images are not used: the log has relative poses already",))
+    log, notes = _tracked(log, config, progress)
+    if log.imu is None and log.relative_pose is not None:
+        return Sighted(log, None, notes)
+    return _moved(log, config, notes, progress)
+
+
+def _tracked(log: SensorLog, config: Config, progress: Progress | None) -> tuple[SensorLog, tuple[str, ...]]:
+    """The log with its features followed."""
+    if log.stereo_tracks is not None:
+        return log, ()
+    from graphnav.frontends.stereo_tracks import tracked
+
+    hook = None if progress is None else (lambda _, done, total: progress(done, total))
+    found = tracked(log, config.stereo_tracks, progress=hook)
+    reasons = Counter(skipped.reason for skipped in found.skipped)
+    total = len(found.t_s) + len(found.skipped)
+    notes = tuple(f"{count} of {total} image pairs were not used: {reason}" for reason, count in reasons.most_common(3))
+    return replace(log, stereo_tracks=found.tracks), notes
+
+
+def _moved(log: SensorLog, config: Config, notes: tuple[str, ...], progress: Progress | None) -> Sighted:
+    """The log with motions from its tracked features, as measurements or as a guide."""
+    from graphnav.frontends.stereo_odometry import stereo_motions
+
+    turns = None if log.imu is None or log.stereo is None else gyro_turns(log.imu, log.stereo, rest_spans(log))
+    found = stereo_motions(log, config.stereo_motions, rotation_prior=turns, progress=progress)
+    if found.failures:
+        reason, count = Counter(failed.reason for failed in found.failures).most_common(1)[0]
+        notes += (f"no motion between {len(found.failures)} pairs of frames, {count} of them: {reason}",)
+    if found.poses is None:
+        if log.imu is None:
+            raise LogError(
+                f"the camera tells no motion at all ({found.failures[0].reason if found.failures else 'one frame'})",
+                where=f"log {log.name}", fix="check [stereo] and the images",
+            )  # fmt: skip
+        return Sighted(replace(log, stereo_tracks=None), None, (*notes, "the camera tells no motion, and is not used"))
+    if config.stereo.form == "tight":
+        return Sighted(log, found.poses, notes)
+    if log.relative_pose is not None:
+        return Sighted(
+            replace(log, stereo_tracks=None), None,
+            (*notes, "the tracked features are not used: with stereo.form = \"loose\" the relative poses given count"),
+        )  # fmt: skip
+    return Sighted(replace(log, relative_pose=found.poses, stereo_tracks=None), None, notes)
