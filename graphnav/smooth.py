@@ -25,7 +25,14 @@ from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
-from graphnav.range_outcome import anchor_counts, clock_warnings, range_residuals, range_warnings, rejected
+from graphnav.range_outcome import (
+    anchor_counts,
+    clock_warnings,
+    contradictory,
+    range_residuals,
+    range_warnings,
+    rejected,
+)
 from graphnav.run import Diagnostics, Run
 from graphnav.scanned import with_scanned_legs
 from graphnav.sighted import Sighted, with_stereo
@@ -156,8 +163,9 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     counts, residuals = [], None
     if solved.ranges is not None and problem.log.uwb is not None:
         counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
-        noted += range_warnings(problem.log.uwb, counts, found)
-        noted += clock_warnings(problem.config.uwb, found, solved.clock_moved, solved.clock_score)
+        of_anchors = range_warnings(problem.log.uwb, counts, found)
+        score = None if contradictory(of_anchors) else solved.clock_score
+        noted += of_anchors + clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
     left_out = rejected(counts)
     if solved.camera is not None and solved.camera_left_out is not None:
