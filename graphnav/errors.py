@@ -81,11 +81,11 @@ class SolveError(GraphnavError):
         return cls.undetermined(ord(found[1]) << 56 | int(found[2]))
 
     @classmethod
-    def not_converged(cls, iterations: int, step_sigmas: float) -> SolveError:
-        """The error for a solution that still moved when the iterations ended."""
+    def not_converged(cls, iterations: int, step_sigmas: float, also: str = "") -> SolveError:
+        """The error for a solution that still moved when the iterations ended; `also` : what else to check."""
         return cls(
             f"not converged after {iterations} iterations (last step {step_sigmas:.3g} sigma);"
-            " raise batch.max_iterations, or check the log's sigmas"
+            f" raise batch.max_iterations, or check the log's sigmas{also}"
         )
 
     @classmethod

@@ -139,7 +139,8 @@ def _by_graph(problem: Problem, method: str, stages: Stages) -> Run:
     solved = (solve_batch if method == "batch" else solve_isam2)(problem, stages)
     if not solved.result.converged:
         steps = solved.result.iterations
-        raise SolveError.not_converged(len(steps), steps[-1].step_sigmas)
+        also = "" if solved.ranges is None else " and the positions of its UWB anchors"
+        raise SolveError.not_converged(len(steps), steps[-1].step_sigmas, also)
     with stages.stage("covariance") as tick:
         blocks = covariances(problem, solved.result, tick) if problem.config.covariance else None
         ends = stops(problem, solved.result) if problem.config.covariance else None

@@ -10,7 +10,7 @@ from uwb_logs import ANCHORS, passing
 
 import graphnav as gn
 from graphnav.config import Config
-from graphnav.errors import LogError
+from graphnav.errors import LogError, SolveError
 from graphnav.evaluation import evaluate
 from graphnav.log import SensorLog
 from graphnav.run import Run
@@ -96,6 +96,12 @@ def test_at_the_face_end_contradicting_ranges_are_told(anchor: str) -> None:
     run = smoothed(with_ranges(log, off(log, anchor, 1.0)))
     assert len(run.diagnostics.warnings) == 1
     assert "UWB ranges contradict each other (" in run.diagnostics.warnings[0]
+
+
+def test_where_no_path_fits_the_anchors_are_to_be_checked() -> None:
+    log = simulate("face-end-uwb", seed=0, site="surface")
+    with pytest.raises(SolveError, match=r"not converged.*check the log's sigmas and the positions of its UWB anchors"):
+        smoothed(with_ranges(log, off(log, "1", 1.0)))
 
 
 def test_healthy_ranges_do_not_contradict_each_other() -> None:
