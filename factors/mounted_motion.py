@@ -73,7 +73,7 @@ class MotionFamily:
     Attributes
     ----------
     key_i, key_j : (K,) keys of the poses at both ends.
-    mounting_key : of the 6-vector of mounting errors, or None where nothing is unknown of it.
+    camera_key : of the 7-vector of the camera's errors (mounting; disparity, which is none of a motion's), or None.
     measured : K motions of c, with their covariances.
     rotation_bc, pos_bc : (3, 3), (3,) the mounting as declared.
     loss, scale : of an error's length in sigmas, see `factors.robust`.
@@ -81,7 +81,7 @@ class MotionFamily:
 
     key_i: npt_int
     key_j: npt_int
-    mounting_key: int | None
+    camera_key: int | None
     measured: Motions
     rotation_bc: Array
     pos_bc: Array
@@ -100,13 +100,14 @@ class MotionFamily:
         return replace(self, key_i=self.key_i[rows], key_j=self.key_j[rows], measured=some)
 
     def residuals(self, values: gtsam.Values) -> tuple[Array, list[Array]]:
-        """Whitened errors (K, 6) and Jacobians (K, 6, 6) by both poses and, where it is unknown, by the mounting."""
+        """Whitened errors (K, 6) and Jacobians by both poses (K, 6, 6) and the camera's errors (K, 6, 7)."""
         pose_i, pose_j = lookup.poses(values, self.key_i), lookup.poses(values, self.key_j)
-        unknown = np.zeros(6) if self.mounting_key is None else values.atVector(self.mounting_key)
-        mounting = np.broadcast_to(unknown, (len(pose_i), 6))
+        unknown = np.zeros(7) if self.camera_key is None else values.atVector(self.camera_key)
+        mounting = np.broadcast_to(unknown[:6], (len(pose_i), 6))
         error, *by = residual(pose_i, pose_j, mounting, self.rotation_bc, self.pos_bc, self.measured)
+        by[2] = np.concatenate([by[2], np.zeros((len(error), _ROWS, 1))], axis=2)
         root = np.linalg.inv(np.linalg.cholesky(self.measured.cov))
-        return _times(root, error), [root @ each for each in by[: 2 if self.mounting_key is None else 3]]
+        return _times(root, error), [root @ each for each in by[: 2 if self.camera_key is None else 3]]
 
     def off(self, values: gtsam.Values) -> Array:
         """Length (K,) of each whitened error."""
@@ -131,7 +132,7 @@ class MotionFamily:
             return
         error, by, excess = self.weighted(values)
         unit = gtsam.noiseModel.Unit.Create(_ROWS)
-        e = self.mounting_key
+        e = self.camera_key
         for k, (i, j) in enumerate(zip(self.key_i.tolist(), self.key_j.tolist(), strict=True)):
             if e is None:
                 linear.push_back(gtsam.JacobianFactor(i, by[0][k], j, by[1][k], -error[k], unit))
@@ -148,7 +149,7 @@ class MotionFamily:
         import gtsam
 
         alone = self.only(np.array([k]))
-        keys = [int(self.key_i[k]), int(self.key_j[k])] + ([] if self.mounting_key is None else [self.mounting_key])
+        keys = [int(self.key_i[k]), int(self.key_j[k])] + ([] if self.camera_key is None else [self.camera_key])
 
         def error(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
             whitened, by, _ = alone.weighted(values)

@@ -33,7 +33,8 @@ class TrackFamily:
     Attributes
     ----------
     pose_key, point_key : (K,) pose T_nb from which a feature was seen, and its place in n (a 3-vector).
-    mounting_key : of the 6-vector of mounting errors (angles about c's axes, place in b), or None where they are known.
+    camera_key : of the 7-vector of the camera's errors (mounting: angles about c's axes, place in b; what disparities
+        are too large by, px), or None where they are known.
     pixels : (K, 3) u_left, u_right, v; sigma_px : of each of them.
     camera : the rectified pair; rotation_bc, pos_bc : (3, 3), (3,) its mounting as declared.
     loss, scale : of a reading's length in sigmas, see `factors.robust`.
@@ -41,7 +42,7 @@ class TrackFamily:
 
     pose_key: npt_int
     point_key: npt_int
-    mounting_key: int | None
+    camera_key: int | None
     pixels: Array
     sigma_px: float
     camera: StereoCamera
@@ -62,27 +63,29 @@ class TrackFamily:
         )  # fmt: skip
 
     def residuals(self, values: gtsam.Values) -> tuple[Array, list[Array]]:
-        """Whitened errors (K, 3) and Jacobians (K, 3, size) by pose, point and, where it is unknown, mounting.
+        """Whitened errors (K, 3) and Jacobians (K, 3, size) by pose, point and the camera's errors, if unknown.
 
         A point that is not in front of the camera (an iteration gone astray) has no slope, and errors of a whole image.
         """
         pose, point = lookup.poses(values, self.pose_key), lookup.vectors(values, self.point_key)
-        unknown = np.zeros(6) if self.mounting_key is None else values.atVector(self.mounting_key)
-        turn_bc, place = self.rotation_bc @ so3.exp(unknown[:3]), self.pos_bc + unknown[3:]
+        unknown = np.zeros(7) if self.camera_key is None else values.atVector(self.camera_key)
+        turn_bc, place = self.rotation_bc @ so3.exp(unknown[:3]), self.pos_bc + unknown[3:6]
         point_b = _times(so3.transpose(pose[:, :3, :3]), point - pose[:, :3, 3])
         good = np.flatnonzero((point_b - place) @ turn_bc[:, 2] > _NEAREST_M)
         error = np.full((len(pose), _ROWS), 2 * self.camera.cx_px)
         by_pose, by_point = np.zeros((len(pose), _ROWS, 6)), np.zeros((len(pose), _ROWS, 3))
-        by_mounting = np.zeros((len(pose), _ROWS, 6))
-        error[good], by_pose[good], by_point[good], by_mounting[good] = residual(
-            pose[good, :3, :3], pose[good, :3, 3], point[good], turn_bc, place, self.pixels[good], self.camera
+        by_camera = np.zeros((len(pose), _ROWS, 7))
+        read = self.pixels + unknown[6] * np.array([0.0, 1.0, 0.0])  # a disparity too large: u_right too small
+        error[good], by_pose[good], by_point[good], by_camera[good, :, :6] = residual(
+            pose[good, :3, :3], pose[good, :3, 3], point[good], turn_bc, place, read[good], self.camera
         )
         jacobians = [by_pose, by_point]
-        if self.mounting_key is not None:
+        if self.camera_key is not None:
             # of a pose's perturbation; here the angles are a vector, and the place is in b
-            by_mounting[:, :, :3] = by_mounting[:, :, :3] @ so3.right_jacobian(unknown[:3])
-            by_mounting[:, :, 3:] = by_mounting[:, :, 3:] @ turn_bc.T
-            jacobians.append(by_mounting)
+            by_camera[:, :, :3] = by_camera[:, :, :3] @ so3.right_jacobian(unknown[:3])
+            by_camera[:, :, 3:6] = by_camera[:, :, 3:6] @ turn_bc.T
+            by_camera[good, 1, 6] = -1.0
+            jacobians.append(by_camera)
         return error / self.sigma_px, [each / self.sigma_px for each in jacobians]
 
     def off(self, values: gtsam.Values) -> Array:
@@ -103,7 +106,7 @@ class TrackFamily:
             excess = float((2 * losses(length, self.loss, self.scale) - weight * length**2).sum())
             root = np.sqrt(weight)
             error, by = root[:, None] * error, [root[:, None, None] * each for each in by]
-        unit, m = gtsam.noiseModel.Unit.Create(_ROWS), self.mounting_key
+        unit, m = gtsam.noiseModel.Unit.Create(_ROWS), self.camera_key
         for k, (x, p) in enumerate(zip(self.pose_key.tolist(), self.point_key.tolist(), strict=True)):
             if m is None:
                 linear.push_back(gtsam.JacobianFactor(x, by[0][k], p, by[1][k], -error[k], unit))

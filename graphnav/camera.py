@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from graphnav.camera_errors import camera_prior, camera_unknown
 from graphnav.motions import MotionReadings, motion_readings, uses_motions
-from graphnav.mounting import mounting_prior, mounting_unknown
 from graphnav.problem import E, Problem
 from graphnav.tracks import TrackReadings, track_readings, uses_tracks
 
@@ -30,15 +30,15 @@ class Camera:
 
     def insert(self, problem: Problem | ChainProblem, values: gtsam.Values) -> None:
         """Variables that only the camera has, where they are not there yet."""
-        if mounting_unknown(problem.log.stereo) and not values.exists(E(0)):
-            values.insert(E(0), np.zeros(6))
+        if camera_unknown(problem.log.stereo) and not values.exists(E(0)):
+            values.insert(E(0), np.zeros(7))
         if self.tracks is not None:
             self.tracks.insert(values)
 
     def beside(self, problem: Problem | ChainProblem) -> list[gtsam.NonlinearFactor]:
         """Factors of these variables."""
         stereo = problem.log.stereo
-        return [mounting_prior(stereo)] if stereo is not None and mounting_unknown(stereo) else []
+        return [camera_prior(stereo)] if stereo is not None and camera_unknown(stereo) else []
 
     def far_keys(self) -> list[int]:
         """Keys of poses that are tied to others than their neighbours."""

@@ -170,6 +170,11 @@ class StereoTracksConfig(_Section):
     max_features: int = Field(300, ge=8, le=5000, description="features followed at a time, spread over the image")
     min_features: int = Field(12, ge=3, description="a frame with fewer is skipped")
     min_depth_m: float = Field(1.0, gt=0, description="nothing is nearer; it bounds the disparities looked at")
+    bias_px: float = Field(
+        0.03,
+        ge=0,
+        description="sigma of what all disparities are too large by, as features on slanted walls are found",
+    )
     min_disparity_px: float = Field(0.5, ge=0, description="features farther away than this tells are left out")
 
 

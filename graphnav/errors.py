@@ -12,7 +12,7 @@ _VARIABLES = {
     "c": ("the odometer calibration of epoch", "scale_sigma and mounting_sigma_deg in [odometer]"),
     "l": ("the place of leg", "lidar_points"),
     "d": ("the LiDAR calibration of epoch", "the sigmas in [lidar]"),
-    "e": ("the mounting of the camera in epoch", "T_bc_pos_sigma_m and mounting_sigma_deg in [stereo]"),
+    "e": ("the camera's errors of epoch", "the sigmas in [stereo]"),
     "p": ("the place of tracked feature", "stereo_tracks"),
     "k": ("the creep after cycle", "creep_sigma_m in [face]"),
     "t": ("the time offset of ranges", "uwb.time_offset_sigma_s"),

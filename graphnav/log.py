@@ -366,8 +366,9 @@ class Uwb(Record):
 class Stereo(Record):
     """The rectified stereo camera; its left camera is c.
 
-    `sigma_px` is the 1-sigma error of a feature's column or row in one image. The camera sits in the body as declared
-    but for errors of `T_bc_pos_sigma_m` (b) and angles of `mounting_sigma_deg` (``R_bc = R(T_bc_quat) Exp(angles)``,
+    `sigma_px` is the 1-sigma error of a feature's column or row in one image, `disparity_sigma_px` of what all
+    disparities are too large by (the angle between the two cameras). The camera sits in the body as declared but for
+    errors of `T_bc_pos_sigma_m` (b) and angles of `mounting_sigma_deg` (``R_bc = R(T_bc_quat) Exp(angles)``,
     about c's axes); zero: as declared.
     """
 
@@ -378,6 +379,7 @@ class Stereo(Record):
     cy_px: float = param()
     baseline_m: float = param(positive=True)
     sigma_px: float = param(0.5, positive=True)
+    disparity_sigma_px: float = param(0.0, nonnegative=True)
     T_bc_pos_m: Array = param((0.0, 0.0, 0.0), shape=(3,))
     T_bc_quat_wxyz: Array = param((0.7071067811865476, -0.7071067811865476, 0.0, 0.0), shape=(4,))
     T_bc_pos_sigma_m: Array = param((0.0, 0.0, 0.0), shape=(3,), nonnegative=True)

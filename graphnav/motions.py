@@ -11,10 +11,10 @@ from factors.increments import npt_int
 from factors.mounted_motion import MotionFamily
 from factors.relative_pose import seen_from
 from factors.so3 import Array
+from graphnav.camera_errors import camera_unknown
 from graphnav.frontends.motion_chain import camera_motions, camera_mounting, check_motions
 from graphnav.leg_means import npt_bool
 from graphnav.log import RelativePose
-from graphnav.mounting import mounting_unknown
 from graphnav.problem import E, Problem, X
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def _readings(problem: Problem, poses: RelativePose) -> MotionReadings:
     rows = np.flatnonzero(inside & (ends[1] > ends[0]))
     motions = camera_motions(poses)
     family = MotionFamily(
-        X(0) + ends[0], X(0) + ends[1], E(0) if mounting_unknown(stereo) else None, motions, *camera_mounting(stereo)
+        X(0) + ends[0], X(0) + ends[1], E(0) if camera_unknown(stereo) else None, motions, *camera_mounting(stereo)
     )
     return MotionReadings(rows, family.only(rows))
 

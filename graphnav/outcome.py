@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array, to_quaternion
+from graphnav.camera_errors import camera_sigmas
 from graphnav.keyframes import SAME_S
 from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.log import Lidar, UwbAnchor
 from graphnav.markov_errors import slots
-from graphnav.mounting import mounting_sigmas
 from graphnav.problem import SIZES, A, B, C, D, E, K, Problem, T, V, X, creep_cycles
 from graphnav.run import (
     ACCEL_NAMES,
@@ -162,7 +162,7 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
     if values.exists(E(0)):
         assert problem.log.stereo is not None
         put(E(0), values.atVector(E(0)), CAMERA_NAMES)
-        for (name, _, _), sigma in zip(CAMERA_NAMES, mounting_sigmas(problem.log.stereo), strict=True):
+        for (name, _, _), sigma in zip(CAMERA_NAMES, camera_sigmas(problem.log.stereo), strict=True):
             if not sigma:
                 del found[name]
     for c in creep_cycles(problem):

@@ -2,7 +2,7 @@
 
 Variables: ``X(i)`` pose T_nb and ``V(i)`` velocity at keyframe i, ``B(e)`` IMU bias and ``C(e)`` odometer calibration
 [scale, mounting angles] in epochs, ``K(c)`` creep after cycle c, ``L(j)`` and ``D(e)`` the LiDAR's legs and
-calibration, ``E(e)`` the camera's mounting and ``P(j)`` the features that it tracked, ``A(a)`` and ``M(i)`` errors of
+calibration, ``E(e)`` the camera's errors and ``P(j)`` the features that it tracked, ``A(a)`` and ``M(i)`` errors of
 UWB anchors and of their ranges, ``T(0)`` their time offset. Epochs keep every variable's number of factors bounded.
 """
 
@@ -74,7 +74,7 @@ def D(e: int) -> int:
 
 
 def E(e: int) -> int:
-    """Key of the errors of the camera's mounting in epoch e."""
+    """Key of the camera's errors in epoch e: its mounting, and what disparities are too large by."""
     return _symbol("e", e)
 
 
@@ -84,7 +84,7 @@ def P(j: int) -> int:
 
 
 #: Sizes of the variables by the letter of their key; the Markov errors of ranges, M, have one of the problem's own.
-SIZES = {ord(letter): size for letter, size in zip("xvbckldaept", (6, 3, 6, 4, 1, 4, 8, 4, 6, 3, 1), strict=True)}
+SIZES = {ord(letter): size for letter, size in zip("xvbckldaept", (6, 3, 6, 4, 1, 4, 8, 4, 7, 3, 1), strict=True)}
 
 
 def _symbol(letter: str, index: int) -> int:

@@ -35,10 +35,11 @@ LIDAR_NAMES = [
     ("lidar_angle_quadratic", 1 / DEGREE, "1/deg"),
     *((f"lidar_mounting_{axis}", DEGREE, "deg") for axis in ("right", "forward", "up")),
 ]
-#: The mounting of the camera: angles about its own axes, place in the body.
+#: The camera: its mounting (angles about its own axes, place in the body), and what disparities are too large by.
 CAMERA_NAMES = [
     *((f"camera_angle_{axis}", DEGREE, "deg") for axis in ("right", "down", "forward")),
     *((f"camera_place_{axis}", 1.0, "m") for axis in ("right", "forward", "up")),
+    ("camera_disparity", 1.0, "px"),
 ]
 
 

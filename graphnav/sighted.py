@@ -6,6 +6,8 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from graphnav.config import Config
 from graphnav.errors import LogError
 from graphnav.frontends.gyro_turns import gyro_turns
@@ -62,7 +64,11 @@ def _tracked(log: SensorLog, config: Config, progress: Progress | None) -> tuple
     reasons = Counter(skipped.reason for skipped in found.skipped)
     total = len(found.t_s) + len(found.skipped)
     notes = tuple(f"{count} of {total} image pairs were not used: {reason}" for reason, count in reasons.most_common(3))
-    return replace(log, stereo_tracks=found.tracks), notes
+    assert log.stereo is not None
+    # what the front end adds to what the pair's calibration leaves
+    disparity = float(np.hypot(log.stereo.disparity_sigma_px, config.stereo_tracks.bias_px))
+    stereo = log.stereo.replace(disparity_sigma_px=disparity)
+    return replace(log, stereo_tracks=found.tracks, stereo=stereo), notes
 
 
 def _moved(log: SensorLog, config: Config, notes: tuple[str, ...], progress: Progress | None) -> Sighted:

@@ -74,11 +74,13 @@ def smooth(
         from graphnav.ranged import run_ranges
 
         return run_ranges(log, config or Config(), method, stages)
+    config = config or Config()
+    if method in STEREO_METHODS:
+        config = config.model_copy(update={"stereo": config.stereo.model_copy(update={"form": "loose"})})
     if method == "stereo":
         from graphnav.stereo_filtered import run_stereo
 
-        return run_stereo(log, config or Config(), stages)
-    config = config or Config()
+        return run_stereo(_sighted(log, config, stages), config, stages)
     if log.imu is None:
         sighted = _sighted(log, config, stages)
         if sighted.log.relative_pose is not None or sighted.guide is not None:

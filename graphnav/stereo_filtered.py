@@ -21,6 +21,7 @@ from graphnav.frontends.motion_chain import held_chain, sightings
 from graphnav.frontends.rest import rest_spans
 from graphnav.keyframes import place_keyframes
 from graphnav.run import Diagnostics, Run
+from graphnav.sighted import Sighted
 from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -30,13 +31,14 @@ if TYPE_CHECKING:
     from graphnav.problem import Problem
 
 
-def run_stereo(log: SensorLog, config: Config, stages: Stages) -> Run:
+def run_stereo(sighted: Sighted, config: Config, stages: Stages) -> Run:
     """The motions one behind the other from the initial pose on; where there are none the pose is held.
 
     Raises
     ------
     LogError : no motions, motions that overlap, or no initial state.
     """
+    log = sighted.log
     with stages.stage("solve"):
         seen = sightings(log)
         if log.initial is None:
@@ -48,7 +50,7 @@ def run_stereo(log: SensorLog, config: Config, stages: Stages) -> Run:
     trajectory = way if config.covariance else replace(way, cov=None)
     diagnostics = Diagnostics(
         method="stereo", converged=True, iterations=1, keyframes=len(t_s), seconds=stages.total(),
-        peak_rss_mb=peak_bytes() / 1e6, warnings=_gap_notes(log, gaps),
+        peak_rss_mb=peak_bytes() / 1e6, warnings=[*sighted.notes, *_gap_notes(log, gaps)],
     )  # fmt: skip
     return Run(trajectory, {}, diagnostics, config)
 

@@ -10,10 +10,10 @@ import numpy as np
 from factors.increments import npt_int
 from factors.stereo import StereoCamera, triangulate
 from factors.stereo_tracks import TrackFamily
+from graphnav.camera_errors import camera_unknown
 from graphnav.frontends.motion_chain import camera_mounting
 from graphnav.leg_means import npt_bool
 from graphnav.log import Stereo
-from graphnav.mounting import mounting_unknown
 from graphnav.problem import E, P, X
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def track_readings(problem: Problem | ChainProblem) -> TrackReadings | None:
     family = TrackFamily(
         X(0) + at[rows],
         P(0) + np.unique(tracks.track[rows], return_inverse=True)[1],
-        E(0) if mounting_unknown(stereo) else None,
+        E(0) if camera_unknown(stereo) else None,
         np.column_stack([tracks.u_left_px, tracks.u_right_px, tracks.v_px])[rows],
         stereo.sigma_px,
         camera_of(stereo),

@@ -14,7 +14,7 @@ import pytest
 from tree import ROOT, printed
 
 PACKAGES = ("factors", "graphnav")
-HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich", "open3d"}
+HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich", "open3d", "cv2"}
 
 #: The floors, lowest first; a name is a module or a package with all that is in it.
 FLOORS = (
@@ -56,7 +56,7 @@ FLOORS = (
         "graphnav.graph",
         "graphnav.camera",
         "graphnav.motions",
-        "graphnav.mounting",
+        "graphnav.camera_errors",
         "graphnav.tracks",
         "graphnav.chain_graph",
         "graphnav.chain_problem",

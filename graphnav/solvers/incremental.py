@@ -89,7 +89,7 @@ def parameters(config: Isam2Config, slots: int = 0) -> gtsam.ISAM2Params:
         ("l", [config.threshold_position_m] * 2 + [config.threshold_lean] * 2),
         ("d", [config.threshold_scale, config.threshold_position_m, *[config.threshold_mounting_rad] * 6]),
         ("a", [config.threshold_position_m] * 4),
-        ("e", [config.threshold_mounting_rad] * 3 + [config.threshold_position_m] * 3),
+        ("e", [config.threshold_mounting_rad] * 3 + [config.threshold_position_m] * 4),
         ("m", [_MARKOV] * slots),
     ):
         thresholds.insert((letter, np.array(values)))
@@ -175,7 +175,7 @@ class _Session:
             if letter in "kame" and not (self.theta.exists(key) or self.values.exists(key)):
                 face = self.problem.log.face
                 creep = np.array([face.creep_m if face else 0.0])
-                zero = {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots), "e": np.zeros(6)}
+                zero = {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots), "e": np.zeros(7)}
                 self.values.insert(key, zero[letter])
         self.pending.add(factor)
 

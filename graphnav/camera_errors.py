@@ -1,0 +1,36 @@
+"""The stereo camera's own errors, its mounting on the machine among them: what is declared, and what is unknown."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from factors.noise import diagonal
+from factors.so3 import Array
+from graphnav.log import Stereo
+from graphnav.problem import E
+
+if TYPE_CHECKING:
+    import gtsam
+
+#: What stands for a error that is declared to be none, rad, m and px: too small to show.
+_HELD = 1e-9
+
+
+def camera_sigmas(stereo: Stereo) -> Array:
+    """Sigmas (7,) of the mounting's errors, angles about c's axes (rad) and place in b (m), and of disparities (px)."""
+    angles = np.radians(stereo.mounting_sigma_deg)
+    return np.concatenate([angles, stereo.T_bc_pos_sigma_m, [stereo.disparity_sigma_px]])
+
+
+def camera_unknown(stereo: Stereo | None) -> bool:
+    """Whether anything of it is to be estimated; zero sigma: known."""
+    return stereo is not None and bool((camera_sigmas(stereo) > 0).any())
+
+
+def camera_prior(stereo: Stereo) -> gtsam.NonlinearFactor:
+    """What the log declares of it."""
+    import gtsam
+
+    return gtsam.PriorFactorVector(E(0), np.zeros(7), diagonal(np.maximum(camera_sigmas(stereo), _HELD)))
