@@ -22,6 +22,7 @@ from factors.inertial import Motion, predict
 from factors.known import known_factor
 from factors.robust import Loss, losses, weights
 from factors.so3 import Array
+from factors.time_offset import TimeOffset
 
 if TYPE_CHECKING:
     import gtsam
@@ -80,6 +81,7 @@ class RangeFamily:
     markov_m : (K, 2) what the two Markov values add to the range.
     gravity_m_s2, earth_rate_n : of the frame n.
     loss, scale : see `factors.robust`.
+    clock : the time offset of the ranges where it is a variable, or None.
     """
 
     pose_key: npt_int
@@ -102,17 +104,19 @@ class RangeFamily:
     earth_rate_n: Array
     loss: Loss = "none"
     scale: float = 3.0
+    clock: TimeOffset | None = None
 
     def only(self, rows: npt_int | np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> RangeFamily:
         """Some of the ranges."""
-        same = ("motion", "gravity_m_s2", "earth_rate_n", "loss", "scale")
+        same = ("motion", "gravity_m_s2", "earth_rate_n", "loss", "scale", "clock")
         some = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in same}
         m = self.motion
         motion = Motion(m.first, *(each[rows] for each in (m.elapsed_s, m.rotation, m.velocity_b, m.position_b)))
-        return replace(self, motion=motion, **some)
+        clock = None if self.clock is None else self.clock.only(rows)
+        return replace(self, motion=motion, clock=clock, **some)
 
     def residuals(self, values: gtsam.Values) -> tuple[Array, dict[str, Array]]:
-        """Whitened errors (K,) and Jacobians (K, size) by pose, velocity, bias, anchor and the two Markov values."""
+        """Whitened errors (K,), Jacobians (K, size) by pose, velocity, bias, anchor, the two Markov values, offset."""
         t, motion = self.motion.elapsed_s[:, None], self.motion
         pose, bias = lookup.poses(values, self.pose_key), lookup.biases(values, self.bias_key)
         rotation, vel = pose[:, :3, :3], lookup.vectors(values, self.velocity_key)
@@ -127,6 +131,8 @@ class RangeFamily:
         at, pos, _ = predict(
             rotation, pose[:, :3, 3], vel, moved, np.arange(len(t)), self.gravity_m_s2, self.earth_rate_n
         )
+        if self.clock is not None:
+            pos = pos + self.clock.moved_n(values)
         anchor = lookup.vectors(values, self.anchor_key)
         error, by_at, by_anchor = range_residual(at, pos, self.lever_arm_b, self.anchor_n + anchor[:, 1:], self.range_m)
         error = error + anchor[:, 0] + self._markov(values)
@@ -141,6 +147,8 @@ class RangeFamily:
             "anchor": np.concatenate([np.ones_like(t), by_anchor], axis=1),
             "markov": self.markov_m,
         }
+        if self.clock is not None:
+            jacobians["offset"] = self.clock.jacobian(-by_anchor)
         sigma = self.sigma_m[:, None]
         return error / self.sigma_m, {name: each / sigma for name, each in jacobians.items()}
 
@@ -161,7 +169,7 @@ class RangeFamily:
         return found
 
     def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> None:
-        """Append the whitened Jacobian factors at `values`, one for each keyframe that has ranges."""
+        """Append the whitened Jacobian factors at `values`, one for each group of ranges."""
         import gtsam
 
         if not len(self.range_m):
@@ -183,8 +191,8 @@ class RangeFamily:
         linear.push_back(gtsam.JacobianFactor(held, np.zeros((1, 6)), np.array([np.sqrt(max(excess, 0.0))]), unit))
 
     def groups(self) -> list[slice]:
-        """Ranges that share a keyframe."""
-        first = np.flatnonzero(np.diff(self.pose_key, prepend=-1))
+        """Ranges that share keyframes."""
+        first = np.flatnonzero(np.diff(self.pose_key, prepend=-1) | np.diff(self.markov_key, prepend=-1))
         last = np.append(first[1:], len(self.pose_key))
         return [slice(lo, hi) for lo, hi in zip(first.tolist(), last.tolist(), strict=True)]
 
@@ -208,6 +216,9 @@ class RangeFamily:
             block[own_rows] = by_anchor[own_rows]
             keys.append(key)
             blocks.append(block)
+        if self.clock is not None:
+            keys.append(self.clock.key)
+            blocks.append(jacobians["offset"][rows])
         return keys, blocks
 
     def factors(self) -> list[gtsam.CustomFactor]:
@@ -227,7 +238,7 @@ class RangeFamily:
         return found
 
 
-_SIZES = {"pose": 6, "velocity": 3, "bias": 6, "anchor": 4, "markov": 2}
+_SIZES = {"pose": 6, "velocity": 3, "bias": 6, "anchor": 4, "markov": 2, "offset": 1}
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,10 @@ LIDAR_STATES = (
     State("LiDAR angle quadratic", "LiDAR angle", "1/deg", 1 / _DEG),
     *(State(f"LiDAR mounting about {axis}", "LiDAR mounting", "deg", _DEG) for axis in ("right", "forward", "up")),
 )
-#: Names of the states that do not move: biases, mounting angles and scale, the LiDAR's calibration.
-CALIBRATION = {state.name for state in (*_BODY, *LIDAR_STATES)}
+#: The time offset of UWB ranges, last of all where it is estimated.
+CLOCK_STATE = State("UWB time offset", "UWB clock", "s", 1.0)
+#: Names of the states that do not move: biases, mounting angles and scale, the LiDAR's calibration, the UWB's clock.
+CALIBRATION = {state.name for state in (*_BODY, *LIDAR_STATES, CLOCK_STATE)}
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from graphnav.log import SensorLog, Truth
 from graphnav.outcome import covariances, estimated_biases, smoothed_trajectory
 from graphnav.preintegration import preintegrate
 from graphnav.problem import L, Problem, V, X
+from graphnav.range_clock import estimates_clock, moved, with_offset
 from graphnav.ranges import RangeReadings, range_readings
 from graphnav.smooth import posed
 from graphnav.solution import Solved, solve_batch
@@ -141,8 +142,11 @@ def _named(readings: LegReadings) -> list[tuple[int, int]]:
 
 
 def _ranges(problem: Problem, solved: Solved, values: gtsam.Values) -> RangeReadings | None:
-    """The ranges that the smoother used, carried with the biases in `values`."""
+    """The ranges that the smoother used, carried with the biases in `values`, at the times that it found."""
+    problem = moved(problem, solved.clock)
     readings = range_readings(problem, *estimated_biases(problem, values))
+    if readings is not None and estimates_clock(problem):
+        readings = with_offset(problem, readings, smoothed_trajectory(problem, values, None))
     if readings is None or solved.ranges_left_out is None:
         return readings
     return readings.only(~np.isin(readings.row, solved.ranges_left_out.row))

@@ -20,8 +20,9 @@ from factors.so3 import Array
 from graphnav.errors import SolveError
 from graphnav.frontends.range_epochs import is_unknown
 from graphnav.log import Uwb
+from graphnav.markov_errors import MarkovParts, slots
 from graphnav.problem import A, X
-from graphnav.ranges import MarkovParts, RangeReadings, index_of, slots, uses_ranges
+from graphnav.ranges import RangeReadings, index_of, uses_ranges
 from graphnav.run import Calibration
 from graphnav.trajectory import Trajectory
 
@@ -55,7 +56,7 @@ def chain_readings(problem: ChainProblem) -> RangeReadings | None:
     t_s = np.clip(uwb.t_s[rows], keyframe_s[0], keyframe_s[-1])
     before = np.clip(np.searchsorted(keyframe_s, t_s + _SAME_S, side="right") - 1, 0, len(keyframe_s) - 2)
     anchor = index_of([a.id for a in uwb.anchor], np.asarray(uwb.anchor_id)[rows])
-    markov = MarkovParts.of(problem, uwb, t_s, before, anchor)
+    markov = MarkovParts.of(problem, uwb, t_s, t_s, anchor)
     family = CarriedRanges.of(
         pose_key=X(0) + before,
         anchor_key=A(0) + anchor,

@@ -27,8 +27,8 @@ from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
+from graphnav.markov_errors import slots
 from graphnav.problem import SIZES, A, D, X
-from graphnav.ranges import slots
 from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
 from graphnav.sighted import Sighted
 from graphnav.solvers import batch
@@ -60,6 +60,10 @@ def run_chain(sighted: Sighted, config: Config, method: str, stages: Stages) -> 
     if method not in METHODS:
         raise ConfigError(
             f"{method} needs an IMU, and log {log.name} has none: its relative poses serve {' and '.join(METHODS)}"
+        )
+    if log.uwb is not None and config.uwb.use and config.uwb.estimate_time_offset:
+        raise ConfigError(
+            f"uwb.estimate_time_offset needs an IMU, and log {log.name} has none: declare uwb.time_offset_s in log.toml"
         )
     with stages.stage("frontend"):
         refuse_wrong_units(log, _NO_SPANS)

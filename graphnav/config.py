@@ -127,6 +127,11 @@ class UwbConfig(_Section):
     )
     loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
     reject_sigmas: float = Field(4.0, gt=0, description="ranges that are off by more are left out in the end")
+    estimate_time_offset: bool = Field(
+        False,
+        description="a range at t measured the tag at t + d, d unknown (batch, isam2); uwb.time_offset_s is known",
+    )
+    time_offset_sigma_s: float = Field(0.2, gt=0, description="how far d may be from zero, 1 sigma")
 
 
 class RelativePoseConfig(_Section):

@@ -15,6 +15,7 @@ _VARIABLES = {
     "e": ("the camera's errors of epoch", "the sigmas in [stereo]"),
     "p": ("the place of tracked feature", "stereo_tracks"),
     "k": ("the creep after cycle", "creep_sigma_m in [face]"),
+    "t": ("the time offset of ranges", "uwb.time_offset_sigma_s"),
 }
 
 
@@ -72,7 +73,7 @@ class SolveError(GraphnavError):
     @classmethod
     def singular(cls, error: Exception) -> SolveError:
         """GTSAM's report of an indeterminate system in the user's words: which variable, and what determines it."""
-        found = re.search(r"\b([xvbcdeklp])(\d+)\b|\b(\d{16,20})\b", str(error))
+        found = re.search(r"\b([xvbcdeklpt])(\d+)\b|\b(\d{16,20})\b", str(error))
         if found is None:
             return cls(f"the problem is singular: {str(error).strip().splitlines()[0]}")
         if found[1] is None:
@@ -80,11 +81,11 @@ class SolveError(GraphnavError):
         return cls.undetermined(ord(found[1]) << 56 | int(found[2]))
 
     @classmethod
-    def not_converged(cls, iterations: int, step_sigmas: float) -> SolveError:
-        """The error for a solution that still moved when the iterations ended."""
+    def not_converged(cls, iterations: int, step_sigmas: float, also: str = "") -> SolveError:
+        """The error for a solution that still moved when the iterations ended; `also` : what else to check."""
         return cls(
             f"not converged after {iterations} iterations (last step {step_sigmas:.3g} sigma);"
-            " raise batch.max_iterations, or check the log's sigmas"
+            f" raise batch.max_iterations, or check the log's sigmas{also}"
         )
 
     @classmethod

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array, from_quaternion
-from graphnav._directions import FACE_STATES, LIDAR_STATES, STATES, Direction, State
+from graphnav._directions import CLOCK_STATE, FACE_STATES, LIDAR_STATES, STATES, Direction, State
 from graphnav._observability import Observability, analyse
 from graphnav.baselines.states import unpacked
 from graphnav.camera import Camera
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from graphnav.baselines.tape import Estimates
 
 __all__ = [
+    "CLOCK_STATE",
     "FACE_STATES",
     "LIDAR_STATES",
     "STATES",
@@ -109,34 +110,38 @@ def of_covariances(problem: Problem, t_s: Array, covariance: Array, pos_n: Array
     Parameters
     ----------
     t_s : (T,) ascending; covariance : (T, 19, 19) of `STATES` (15 without an odometer), with 8 more for `LIDAR_STATES`
-        where legs take part; of these the ones whose sigma is not declared are left out, for they are held.
+        where legs take part; of these the ones whose sigma is not declared are left out, for they are held. One more,
+        the last, where the time offset of UWB ranges is estimated.
     pos_n : (N, 3) estimated positions at the problem's keyframes.
     kind : "smoothed" or "causal".
     """
     size = 15 + 4 * problem.has_calibration
-    scanner = covariance.shape[-1] > size
-    reference = reference_covariance(problem, t_s, scanner)
+    further = covariance.shape[-1] - size
+    scanner, clock = further >= len(LIDAR_STATES), further % len(LIDAR_STATES) == 1
+    reference = reference_covariance(problem, t_s, scanner, clock)
     heading_rad = _first_cut(problem, pos_n)
-    states = (STATES if heading_rad is None else FACE_STATES)[:size] + LIDAR_STATES * scanner
+    states = (STATES if heading_rad is None else FACE_STATES)[:size] + LIDAR_STATES * scanner + (CLOCK_STATE,) * clock
     turn = np.eye(covariance.shape[-1])
     if heading_rad is not None:
         s, c = np.sin(heading_rad), np.cos(heading_rad)
         for at in (0, 3, 6):
             turn[at : at + 2, at : at + 2] = [[c, s], [-s, c]]
     if scanner and problem.log.lidar is not None:
-        free = np.r_[np.ones(size, bool), lidar_free(problem.log.lidar)]
+        free = np.r_[np.ones(size, bool), lidar_free(problem.log.lidar), np.ones(int(clock), bool)]
         turn, states = turn[free], tuple(state for state, kept in zip(states, free, strict=True) if kept)
     turned, known = (turn @ matrix @ turn.T for matrix in (covariance, reference))
     sigma = np.sqrt(np.diagonal(known, axis1=1, axis2=2))
     return analyse(t_s, turned, sigma, states, kind)
 
 
-def reference_covariance(problem: Problem, t_s: Array, scanner: bool = False) -> Array:
+def reference_covariance(problem: Problem, t_s: Array, scanner: bool = False, clock: bool = False) -> Array:
     """What is known of the states without the log's data, (T, 19, 19) (15 without an odometer, 8 more with a scanner).
+
+    One more with a `clock` of UWB ranges.
 
     Attitude and position: as declared for the start. Velocity: as declared, or the machine's usual speed where that is
     more, which is all that is known of a machine under way. Biases, mounting and scale: the declared sigmas with their
-    declared walk. The LiDAR's calibration: the declared sigmas.
+    declared walk. The LiDAR's calibration and the UWB's clock: the declared sigmas.
     """
     log, initial, noise = problem.log, problem.initial, problem.noise
     rotation = from_quaternion(initial.quat_nb_wxyz)
@@ -154,6 +159,8 @@ def reference_covariance(problem: Problem, t_s: Array, scanner: bool = False) ->
         calibration.append(start + walk * elapsed)
     if scanner and log.lidar is not None:
         calibration.append(lidar_sigmas(log.lidar) ** 2 * np.ones_like(elapsed))
+    if clock:
+        calibration.append(problem.config.uwb.time_offset_sigma_s**2 * np.ones_like(elapsed))
     own = np.concatenate(calibration, axis=1)
     found = np.zeros((len(own), 9 + own.shape[1], 9 + own.shape[1]))
     found[:, :3, :3] = np.diag(np.maximum(initial.vel_sigma_m_s, usual) ** 2)

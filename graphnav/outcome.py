@@ -12,8 +12,8 @@ from graphnav.keyframes import SAME_S
 from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
 from graphnav.log import Lidar, UwbAnchor
-from graphnav.problem import SIZES, A, B, C, D, E, K, Problem, V, X, creep_cycles
-from graphnav.ranges import slots
+from graphnav.markov_errors import slots
+from graphnav.problem import SIZES, A, B, C, D, E, K, Problem, T, V, X, creep_cycles
 from graphnav.run import (
     ACCEL_NAMES,
     CAMERA_NAMES,
@@ -58,6 +58,8 @@ def covariances(
         groups[D(0)] = (D(0),)
     for a in _anchors(problem, result.values):
         groups[A(a)] = (A(a),)
+    if result.values.exists(T(0)):
+        groups[T(0)] = (T(0),)
     if result.values.exists(E(0)):
         groups[E(0)] = (E(0),)
     assert result.bayes_tree is not None
@@ -155,6 +157,8 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
     for a in _anchors(problem, values):
         assert problem.log.uwb is not None
         put(A(a), values.atVector(A(a)), anchor_names(problem.log.uwb.anchor[a]))
+    if values.exists(T(0)):
+        put(T(0), values.atVector(T(0)), [("uwb_time_offset", 1.0, "s")])
     if values.exists(E(0)):
         assert problem.log.stereo is not None
         put(E(0), values.atVector(E(0)), CAMERA_NAMES)

@@ -3,7 +3,7 @@
 Variables: ``X(i)`` pose T_nb and ``V(i)`` velocity at keyframe i, ``B(e)`` IMU bias and ``C(e)`` odometer calibration
 [scale, mounting angles] in epochs, ``K(c)`` creep after cycle c, ``L(j)`` and ``D(e)`` the LiDAR's legs and
 calibration, ``E(e)`` the camera's errors and ``P(j)`` the features that it tracked, ``A(a)`` and ``M(i)`` errors of
-UWB anchors and of their ranges. Epochs keep every variable's number of factors bounded.
+UWB anchors and of their ranges, ``T(0)`` their time offset. Epochs keep every variable's number of factors bounded.
 """
 
 from __future__ import annotations
@@ -63,6 +63,11 @@ def M(i: int) -> int:
     return _symbol("m", i)
 
 
+def T(k: int) -> int:
+    """Key of the time offset of ranges; there is one, T(0)."""
+    return _symbol("t", k)
+
+
 def D(e: int) -> int:
     """Key of the LiDAR calibration in epoch e."""
     return _symbol("d", e)
@@ -79,12 +84,20 @@ def P(j: int) -> int:
 
 
 #: Sizes of the variables by the letter of their key; the Markov errors of ranges, M, have one of the problem's own.
-SIZES = {ord(letter): size for letter, size in zip("xvbckldaep", (6, 3, 6, 4, 1, 4, 8, 4, 7, 3), strict=True)}
+SIZES = {ord(letter): size for letter, size in zip("xvbckldaept", (6, 3, 6, 4, 1, 4, 8, 4, 7, 3, 1), strict=True)}
 
 
 def _symbol(letter: str, index: int) -> int:
     # gtsam.symbol without its call overhead: a letter in the top byte
     return (ord(letter) << 56) | index
+
+
+@dataclass(frozen=True)
+class RangeClock:
+    """A time offset of ranges, found so far: `later_s` is added to their times; its sigma, or None before any."""
+
+    later_s: float = 0.0
+    sigma_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -98,6 +111,7 @@ class Problem:
     minor_s : minor interval of the two-speed algorithm, s.
     bias_epoch, calibration_epoch : (N-1,) epoch of each interval between keyframes.
     notes : what the user should know of how the log was prepared, one line each.
+    clock : what has been found of the ranges' clock, to which their times in `log` have been moved.
     """
 
     log: SensorLog
@@ -111,6 +125,7 @@ class Problem:
     bias_epoch: npt_int
     calibration_epoch: npt_int
     notes: tuple[str, ...] = ()
+    clock: RangeClock = RangeClock()
 
     @property
     def keyframe_s(self) -> Array:

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.increments import npt_int
+from graphnav._observability import NOT_OBSERVABLE
+from graphnav.config import UwbConfig
 from graphnav.log import Uwb
+from graphnav.range_clock import ClockScore
 from graphnav.ranges import RangeReadings
 from graphnav.run import Calibration, RangeResiduals
 
@@ -17,8 +20,12 @@ if TYPE_CHECKING:
 
 #: Share of an anchor's ranges left out from which on the anchor itself is in doubt, and the fewest ranges that tell.
 _MOST, _FEWEST = 0.5, 20
+#: Share from which on all of them are, but for chance.
+_ALL = 0.95
 #: Declared sigmas at which a constant error is far off.
 _FAR = 4.0
+#: A clock off by this many sigmas, and seconds, is said to be off: by chance, one healthy log in two million.
+_CLOCK_SIGMAS, _CLOCK_S = 5.0, 0.02
 
 
 @dataclass(frozen=True)
@@ -70,19 +77,93 @@ def rejected(counts: list[AnchorCount]) -> dict[str, int]:
 
 
 def range_warnings(uwb: Uwb, counts: list[AnchorCount], calibration: dict[str, Calibration]) -> list[str]:
-    """What the user should know of the anchors, one line each."""
+    """What the user should know of the anchors: one line for one that is wrong, or for all where it might be any.
+
+    Ranges of one anchor that are off by a constant are left out wholesale, and those of the others agree. Where others
+    disagree too, or constants are far off, the path is a compromise, and which anchor bent it the geometry may not
+    tell: with four anchors near a plane it blames the wrong one as often as the right.
+    """
+    doubted = [each for each in counts if _out(each) > _MOST and each.used + each.left_out >= _FEWEST]
+    biased = {each.anchor: abs(_bias(uwb, each, calibration)) for each in counts}
+    far = [name for name, sigmas in biased.items() if sigmas > _FAR]
+    if not doubted and not far:
+        return []
+    if len(doubted) == 1 and not far and _out(doubted[0]) > _ALL:
+        others = [_out(each) for each in counts if each is not doubted[0]]
+        if max(others, default=0.0) < 1 - _ALL:
+            (each,) = doubted
+            return [
+                f"{each.left_out} of {each.used + each.left_out} ranges of UWB anchor {each.anchor} disagree with the"
+                f" rest and were left out, by {each.off_m:+.2f} m: check its position, or declare a larger bias_sigma_m"
+            ]
+    if not doubted and len(far) == 1:
+        return [
+            f"the constant error of UWB anchor {far[0]} came out at {biased[far[0]]:.0f} times its declared sigma:"
+            " check its position"
+        ]
+    signs = [f"{each.left_out} of {each.used + each.left_out} of anchor {each.anchor} left out" for each in doubted]
+    if far:
+        worst = max(biased[name] for name in far)
+        signs.append(f"constant errors of anchors {', '.join(far)} up to {worst:.0f} times their declared sigma")
+    return [
+        f"UWB ranges contradict each other ({'; '.join(signs)}): positions may be metres off, and which anchor is wrong"
+        " these ranges may not tell; check all positions, or declare bias_sigma_m = 1, and the errors are estimated"
+    ]
+
+
+def contradictory(lines: list[str]) -> bool:
+    """Whether `range_warnings` says that the path is a compromise: then nothing else that ranges say can be trusted."""
+    return any(line.startswith("UWB ranges contradict") for line in lines)
+
+
+def _out(each: AnchorCount) -> float:
+    """Share of an anchor's ranges that were left out."""
+    return each.left_out / max(each.used + each.left_out, 1)
+
+
+def _bias(uwb: Uwb, each: AnchorCount, calibration: dict[str, Calibration]) -> float:
+    """An anchor's constant error in declared sigmas; zero where none is declared."""
+    found = calibration.get(f"uwb_bias_{each.anchor}")
+    return 0.0 if found is None or uwb.bias_sigma_m is None else found.value / uwb.bias_sigma_m
+
+
+def clock_warnings(
+    config: UwbConfig, calibration: dict[str, Calibration], moved: bool, score: ClockScore | None
+) -> list[str]:
+    """What the user should know of the ranges' clock, one line each.
+
+    Parameters
+    ----------
+    moved : whether an estimated offset still did at the end; score : where none was estimated, what the ranges say.
+    """
     lines = []
-    for each in counts:
-        total = each.used + each.left_out
-        if total >= _FEWEST and each.left_out > _MOST * total:
-            lines.append(
-                f"{each.left_out} of {total} ranges of UWB anchor {each.anchor} disagree with the rest and were left"
-                f" out, by {each.off_m:+.2f} m: check its position, or declare a larger bias_sigma_m"
-            )
-        bias = calibration.get(f"uwb_bias_{each.anchor}")
-        if bias is not None and uwb.bias_sigma_m is not None and abs(bias.value) > _FAR * uwb.bias_sigma_m:
-            lines.append(
-                f"the constant error of UWB anchor {each.anchor} came out at {bias.value:.3f} m,"
-                f" {abs(bias.value) / uwb.bias_sigma_m:.0f} times its declared sigma: check its position"
-            )
+    found = calibration.get("uwb_time_offset")
+    if score is not None and abs(score.offset_s) > max(_CLOCK_SIGMAS * score.sigma_s, _CLOCK_S):
+        lines.append(
+            f"UWB ranges seem stamped {_amiss(score.offset_s)} against the IMU, by {_sigmas(score)} sigmas: set"
+            " uwb.estimate_time_offset = true in the configuration, or declare time_offset_s in [uwb]"
+        )
+    if found is None:
+        return lines
+    if moved:
+        lines.append("the time offset of UWB ranges still moved at the end: raise batch.bias_move_rounds")
+    if found.sigma is not None and found.sigma > NOT_OBSERVABLE * config.time_offset_sigma_s:
+        lines.append(
+            f"the time offset of UWB ranges is not observable from this motion (sigma {found.sigma:.2g} s, as assumed):"
+            " a start, a stop or a turn while ranges come in tells it"
+        )
+    if abs(found.value) > _FAR * config.time_offset_sigma_s:
+        lines.append(
+            f"UWB ranges came out stamped {_amiss(found.value)},"
+            f" {abs(found.value) / config.time_offset_sigma_s:.0f} times time_offset_sigma_s: check [uwb] time_offset_s"
+        )
     return lines
+
+
+def _amiss(offset_s: float) -> str:
+    """A range stamped late measured the tag before its stamp."""
+    return f"{abs(offset_s):.3f} s {'late' if offset_s < 0 else 'early'}"
+
+
+def _sigmas(score: ClockScore) -> str:
+    return f"{abs(score.offset_s) / score.sigma_s:.0f}"

@@ -18,17 +18,17 @@ from factors.noise import diagonal
 from factors.so3 import Array
 from graphnav.anchor_priors import anchor_priors
 from graphnav.leg_means import npt_bool
-from graphnav.log import Uwb
-from graphnav.problem import A, B, M, Problem, V, X
+from graphnav.markov_errors import SAME_S, MarkovParts, in_span, keyframe_before, slots
+from graphnav.problem import A, B, M, Problem, T, V, X
 
 if TYPE_CHECKING:
     import gtsam
 
     from graphnav.chain_problem import ChainProblem
+    from graphnav.config import UwbConfig
 
 #: Keyframe intervals worked on at a time.
 _BLOCK = 500
-_SAME_S = 1e-6
 
 
 @dataclass(frozen=True)
@@ -72,13 +72,14 @@ def range_readings(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) ->
     uwb, keyframe_s = problem.log.uwb, problem.keyframe_s
     if uwb is None or not uses_ranges(problem):
         return None
-    rows = np.flatnonzero((uwb.t_s >= keyframe_s[0] - _SAME_S) & (uwb.t_s <= keyframe_s[-1] + _SAME_S))
+    stamped_s = uwb.t_s - problem.clock.later_s
+    rows = _within(problem, uwb.t_s, stamped_s)
     t_s = np.clip(uwb.t_s[rows], keyframe_s[0], keyframe_s[-1])
-    before = np.clip(np.searchsorted(keyframe_s, t_s + _SAME_S, side="right") - 1, 0, len(keyframe_s) - 2)
+    before = keyframe_before(keyframe_s, t_s)
     ids, tags = [a.id for a in uwb.anchor], [t.id for t in uwb.tag]
     anchor = index_of(ids, np.asarray(uwb.anchor_id)[rows])
     tag = index_of(tags, np.asarray(uwb.tag_id)[rows])
-    markov = MarkovParts.of(problem, uwb, t_s, before, anchor)
+    markov = MarkovParts.of(problem, uwb, stamped_s[rows], t_s, anchor)
     family = ranging.RangeFamily(
         pose_key=X(0) + before,
         velocity_key=V(0) + before,
@@ -102,48 +103,19 @@ def range_readings(problem: Problem, gyro_bias_b: Array, accel_bias_b: Array) ->
     return RangeReadings(rows, anchor, family)
 
 
-def slots(problem: Problem | ChainProblem) -> int:
-    """Entries of a vector of Markov errors: as many as anchors answer in one span."""
-    return max((len(span.anchors) for span in problem.frontend.ranging), default=0)
+def _within(problem: Problem, t_s: Array, stamped_s: Array) -> npt_int:
+    """Ranges within the record by their time, and within the spans by that of their own clock."""
+    inside = (t_s >= problem.keyframe_s[0] - SAME_S) & (t_s <= problem.keyframe_s[-1] + SAME_S)
+    heard = np.zeros(len(t_s), bool)
+    for span in problem.frontend.ranging:
+        heard |= in_span(span, stamped_s)
+    return np.flatnonzero(inside & heard)
 
 
 def index_of(known: list[str], names: Array) -> npt_int:
     """Places of `names` (K,) in a list that holds them all."""
     order = np.argsort(known)
     return np.asarray(order[np.searchsorted(np.array(known)[order], names)], np.int64)
-
-
-@dataclass(frozen=True)
-class MarkovParts:
-    """What the Markov errors have to do with each of K ranges, see `factors.ranging.RangeFamily`."""
-
-    key: npt_int
-    next_key: npt_int
-    slot: npt_int
-    adds_m: Array
-    sigma_m: Array
-
-    @classmethod
-    def of(cls, problem: Problem | ChainProblem, uwb: Uwb, t_s: Array, before: npt_int, anchor: npt_int) -> MarkovParts:
-        """For ranges of `anchor` (K,) at t_s (K,), behind the keyframes `before` (K,)."""
-        rest = problem.frontend.rest_s
-        resting = ((t_s[:, None] >= rest[:, 0]) & (t_s[:, None] <= rest[:, 1])).any(axis=1)
-        calm = np.where(resting, uwb.rest_factor, 1.0)
-        white, none = calm * uwb.sigma_m, np.full(len(t_s), -1, np.int64)
-        if uwb.markov_time_s is None or uwb.markov_sigma_m is None:
-            return cls(none, none, none, np.zeros((len(t_s), 2)), white)
-        first_s, next_s = problem.keyframe_s[before], problem.keyframe_s[before + 1]
-        first, second, left = ranging.markov_weights(
-            (t_s - first_s) / uwb.markov_time_s, (next_s - first_s) / uwb.markov_time_s
-        )
-        sigma = calm * uwb.markov_sigma_m
-        slot = np.zeros(len(t_s), np.int64)
-        for span in problem.frontend.ranging:
-            inside = (t_s >= span.start_s) & (t_s <= span.end_s)
-            names = np.array([uwb.anchor[a].id for a in anchor[inside]])
-            slot[inside] = np.searchsorted(np.array(span.anchors), names)
-        adds = sigma[:, None] * np.column_stack([first, second])
-        return cls(M(0) + before, M(0) + before + 1, slot, adds, np.hypot(white, sigma * np.sqrt(left)))
 
 
 def _carried(problem: Problem, t_s: Array, before: npt_int, gyro_bias_b: Array, accel_bias_b: Array) -> Motion:
@@ -189,10 +161,12 @@ class RangeStates:
     Attributes
     ----------
     anchors : indices of the anchors heard; markov : (S, 2) first and last keyframe of each span's Markov errors.
+    clock : whether the time offset is one of them.
     """
 
     anchors: list[int]
     markov: list[tuple[int, int]]
+    clock: bool = False
 
     @classmethod
     def of(cls, problem: Problem | ChainProblem, readings: RangeReadings) -> RangeStates:
@@ -201,13 +175,15 @@ class RangeStates:
         used = np.unique(keys[keys >= 0]) - M(0)
         edges = np.flatnonzero(np.diff(used, prepend=-2, append=used[-1:] + 2 if len(used) else []) > 1)
         t = problem.keyframe_s
-        first = [int(np.searchsorted(t, span.start_s + _SAME_S, side="right") - 1) for span in problem.frontend.ranging]
-        last = [int(np.searchsorted(t, span.end_s + _SAME_S, side="right")) for span in problem.frontend.ranging]
+        first = [int(np.searchsorted(t, span.start_s + SAME_S, side="right") - 1) for span in problem.frontend.ranging]
+        last = [int(np.searchsorted(t, span.end_s + SAME_S, side="right")) for span in problem.frontend.ranging]
         spans = [(max(lo, 0), min(hi, len(t) - 1)) for lo, hi in zip(first, last, strict=True)] if len(edges) else []
-        return cls(np.unique(readings.anchor).tolist(), spans)
+        return cls(np.unique(readings.anchor).tolist(), spans, readings.family.clock is not None)
 
     def insert(self, problem: Problem | ChainProblem, values: gtsam.Values) -> None:
         """Zeros for what is not there yet."""
+        if self.clock and not values.exists(T(0)):
+            values.insert(T(0), np.zeros(1))
         for a in self.anchors:
             if not values.exists(A(a)):
                 values.insert(A(a), np.zeros(4))
@@ -224,6 +200,7 @@ class RangeStates:
         assert uwb is not None
         found: list[tuple[int, gtsam.NonlinearFactor]] = []
         found += [(0, factor) for factor in anchor_priors(uwb, self.anchors)]
+        found += [(0, _clock_prior(problem.config.uwb))] if self.clock else []
         for first, last in self.markov:
             assert uwb.markov_time_s is not None
             found.append((first, gtsam.PriorFactorVector(M(first), np.zeros(size), diagonal(np.ones(size)))))
@@ -231,3 +208,10 @@ class RangeStates:
                 span = (problem.keyframe_s[i + 1] - problem.keyframe_s[i]) / uwb.markov_time_s
                 found.append((i + 1, ranging.markov_factor(M(i), M(i + 1), float(span), size)))
         return found
+
+
+def _clock_prior(config: UwbConfig) -> gtsam.NonlinearFactor:
+    """How far the time offset may be from zero."""
+    import gtsam
+
+    return gtsam.PriorFactorVector(T(0), np.zeros(1), diagonal(np.array([config.time_offset_sigma_s])))

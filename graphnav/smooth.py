@@ -25,7 +25,14 @@ from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
-from graphnav.range_outcome import anchor_counts, range_residuals, range_warnings, rejected
+from graphnav.range_outcome import (
+    anchor_counts,
+    clock_warnings,
+    contradictory,
+    range_residuals,
+    range_warnings,
+    rejected,
+)
 from graphnav.run import Diagnostics, Run
 from graphnav.scanned import with_scanned_legs
 from graphnav.sighted import Sighted, with_stereo
@@ -59,6 +66,8 @@ def smooth(
     """
     if method not in METHODS:
         raise ConfigError(f'unknown method "{method}"; known: {", ".join(METHODS)}')
+    if method in UWB_METHODS and config is not None and config.uwb.estimate_time_offset:
+        raise ConfigError(f"{method} estimates no time offset of ranges: batch and isam2 do, or declare time_offset_s")
     stages = Stages(progress)
     log = _opened(log, stages)
     if method in ("uwb", "uwb-vbukf"):
@@ -132,7 +141,8 @@ def _by_graph(problem: Problem, method: str, stages: Stages) -> Run:
     solved = (solve_batch if method == "batch" else solve_isam2)(problem, stages)
     if not solved.result.converged:
         steps = solved.result.iterations
-        raise SolveError.not_converged(len(steps), steps[-1].step_sigmas)
+        also = "" if solved.ranges is None else " and the positions of its UWB anchors"
+        raise SolveError.not_converged(len(steps), steps[-1].step_sigmas, also)
     with stages.stage("covariance") as tick:
         blocks = covariances(problem, solved.result, tick) if problem.config.covariance else None
         ends = stops(problem, solved.result) if problem.config.covariance else None
@@ -156,7 +166,9 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     counts, residuals = [], None
     if solved.ranges is not None and problem.log.uwb is not None:
         counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
-        noted += range_warnings(problem.log.uwb, counts, found)
+        of_anchors = range_warnings(problem.log.uwb, counts, found)
+        score = None if contradictory(of_anchors) else solved.clock_score
+        noted += of_anchors + clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
     left_out = rejected(counts)
     if solved.camera is not None and solved.camera_left_out is not None:

@@ -5,7 +5,7 @@ biases moved too far.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,11 +24,14 @@ from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.motions import guiding_readings
-from graphnav.outcome import estimated_biases
+from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
-from graphnav.problem import D, L, Problem, X
-from graphnav.ranges import RangeReadings, RangeStates, range_readings, uses_ranges
+from graphnav.problem import D, L, Problem, RangeClock, T, X
+from graphnav.range_clock import ClockScore, clock_score, estimates_clock, moved, offset_in, settled
+from graphnav.range_rounds import on_the_clock, posed_ranges
+from graphnav.ranges import RangeReadings, range_readings, uses_ranges
 from graphnav.solvers import absolute, batch, incremental
+from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import gtsam
@@ -48,7 +51,9 @@ class Solved:
     ----------
     result : estimates and their square-root information.
     data : the condensed sensor data that it was solved with.
-    biases_moved : whether the biases still moved at the end.
+    biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
+    clock : with which the ranges were carried.
+    clock_score : what the ranges say of a time offset that is no variable, or None.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
     camera : what the camera said that was used, or None; camera_left_out : what disagreed.
@@ -67,6 +72,9 @@ class Solved:
     camera_left_out: Camera | None = None
     advances: AdvanceFamily | None = None
     causal: States | None = None
+    clock_moved: bool = False
+    clock: RangeClock = field(default_factory=RangeClock)
+    clock_score: ClockScore | None = None
 
 
 def solve_batch(problem: Problem, stages: Stages) -> Solved:
@@ -91,7 +99,7 @@ def _roughly(
     known leads metres aside, where ranges to anchors near one plane put the machine on its other side.
     """
     with stages.stage("assemble"):
-        heard = _range_readings(problem, data, values) if ranges else None
+        heard = posed_ranges(problem, data, values) if ranges else None
         graph = build_graph(problem, data, ranges=heard, camera=_camera_readings(problem, values))
     with stages.stage("solve"):
         most = problem.config.batch.max_iterations
@@ -143,14 +151,17 @@ def _solve_rounds(
     predicted : absolute closed-path priors that iSAM2 made on its way; batch makes its own where there are none.
     """
     config, lidar = problem.config.batch, problem.log.lidar
+    problem, values = on_the_clock(problem, stages, data, values)
+    along: Trajectory | None = None
     history: list[batch.Iteration] = []
     advances: AdvanceFamily | None = None
     for round_ in range(config.bias_move_rounds):
         left_out = None  # what an earlier round left out may agree along a better path
         with stages.stage("assemble"):
+            along = smoothed_trajectory(problem, values, None) if values.exists(T(0)) else None
             readings = _leg_readings(problem, data, values)
             advances = None if readings is None else leg_advances(problem, readings, values)
-            ranges, ranges_left_out = _range_readings(problem, data, values), None
+            ranges, ranges_left_out = posed_ranges(problem, data, values, along), None
             camera, camera_left_out = _camera_readings(problem, values), None
             graph = build_graph(problem, data, readings, advances, ranges, camera)
             for factor in predicted:
@@ -178,14 +189,24 @@ def _solve_rounds(
                     result = _solved(problem, graph, values, tick)
                     history += result.iterations
         gyro, accel = estimated_biases(problem, result.values)
-        moved = biases_moved(problem, data, gyro, accel)
-        if not moved or not result.converged or round_ == config.bias_move_rounds - 1:
+        clock = replace(problem.clock, later_s=offset_in(result.values))
+        better, clock_moved = biases_moved(problem, data, gyro, accel), not settled(problem.clock, clock)
+        if not (better or clock_moved) or not result.converged or round_ == config.bias_move_rounds - 1:
             break
         with stages.stage("assemble") as tick:
-            data = _preintegrate(problem, gyro, accel, tick)
-            values = result.values
+            data = _preintegrate(problem, gyro, accel, tick) if better else data
+            problem, values = moved(problem, clock), result.values
+    score = None
+    if ranges is not None and not estimates_clock(problem):
+        with stages.stage("solve"):
+            score = clock_score(
+                problem, graph, ranges, smoothed_trajectory(problem, result.values, None), result.values
+            )
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return Solved(result, data, moved, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances)
+    return Solved(
+        result, data, better, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances,
+        clock_moved=clock_moved, clock=problem.clock, clock_score=score,
+    )  # fmt: skip
 
 
 def _solved(
@@ -218,14 +239,6 @@ def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -
     for j, place_n in enumerate(readings.place_n):
         if not values.exists(L(j)):
             values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
-    return readings
-
-
-def _range_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -> RangeReadings | None:
-    """UWB ranges, whose variables are added to the values."""
-    readings = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
-    if readings is not None:
-        RangeStates.of(problem, readings).insert(problem, values)
     return readings
 
 

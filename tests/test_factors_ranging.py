@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import gtsam
@@ -12,6 +13,7 @@ from jacobians import ANGLES, analytic, central, factor_jacobian, moved, random_
 from factors import inertial, ranging, robust
 from factors.increments import Samples, compensated_increments
 from factors.inertial import Motion, cumulate, predict
+from factors.time_offset import TimeOffset
 
 RNG_SEED = 8
 GRAVITY, EARTH = 9.8, np.array([0.0, 6e-5, 4e-5])
@@ -107,8 +109,42 @@ def test_jacobians_of_carried_ranges() -> None:
     np.testing.assert_allclose((jacobian / scale)[:, columns], (expected / scale)[:, columns], atol=1e-4)
 
 
-def test_linearized_together_is_one_by_one() -> None:
-    readings, values = family(np.random.default_rng(RNG_SEED))
+def clocked(rng: np.random.Generator) -> tuple[ranging.RangeFamily, gtsam.Values]:
+    """The same ranges carried at an offset of 0.1 s, where 0.13 s is the estimate."""
+    readings, values = family(rng)
+    values.insert(9, np.array([0.13]))
+    return replace(readings, clock=TimeOffset(9, 0.1, rng.normal(0, 1.0, (len(readings.range_m), 3)))), values
+
+
+def test_jacobians_of_ranges_with_a_time_offset() -> None:
+    readings, values = clocked(np.random.default_rng(RNG_SEED))
+    (factor,) = readings.factors()
+    jacobian, expected = analytic(factor, values)[0], factor_jacobian(factor, values)
+    scale = 1 / readings.sigma_m[:, None]
+    np.testing.assert_allclose(jacobian / scale, expected / scale, atol=3e-4)
+    np.testing.assert_allclose(jacobian[:, -1:] / scale, expected[:, -1:] / scale, atol=1e-7)
+    assert np.abs(jacobian[:, -1:] / scale).max() > 0.1
+
+
+def test_an_offset_moves_the_tag_along_its_velocity() -> None:
+    """None where the ranges are carried to already; otherwise as if the anchors had gone the other way."""
+    readings, values = clocked(np.random.default_rng(RNG_SEED))
+    clock = readings.clock
+    assert clock is not None
+    without = replace(readings, clock=None)
+    away = replace(without, anchor_n=without.anchor_n - 0.03 * clock.velocity_n)
+    np.testing.assert_allclose(readings.residuals(values)[0], away.residuals(values)[0], atol=1e-9)
+    values.update(9, np.array([0.1]))
+    np.testing.assert_array_equal(readings.residuals(values)[0], without.residuals(values)[0])
+    some = readings.only(np.array([1, 3]))
+    np.testing.assert_allclose(some.residuals(values)[0], readings.residuals(values)[0][[1, 3]], atol=1e-12)
+
+
+@pytest.mark.parametrize("drawn", [family, clocked])
+def test_linearized_together_is_one_by_one(
+    drawn: Callable[[np.random.Generator], tuple[ranging.RangeFamily, gtsam.Values]],
+) -> None:
+    readings, values = drawn(np.random.default_rng(RNG_SEED))
     linear = gtsam.GaussianFactorGraph()
     readings.linearize_into(linear, values)
     (factor,) = readings.factors()

@@ -14,6 +14,7 @@ from test_aer1513_stereo import seen_pixels
 import graphnav as gn
 from benchmarks._starloc import DATA, RECORDINGS, shared_constants
 from factors import so3
+from graphnav.config import Config
 from graphnav.errors import LogError
 from graphnav.evaluation import evaluate
 from graphnav.log import SensorLog
@@ -268,6 +269,26 @@ def test_a_damaged_calibration_is_named(recordings: Path, tmp_path: Path) -> Non
 def test_position_within_twelve_centimetres(recordings: Path, name: str) -> None:
     """The issue's target, with raw ranges and an unknown heading; measured 0.096 and 0.097 m."""
     assert rms(run(recordings / name), log(recordings / name)) < 0.12
+
+
+def test_a_clock_that_is_off_is_found_and_told(recordings: Path) -> None:
+    """Ranges moved by 0.2 s: the estimates part by as much, positions stay; not asked, the run says so."""
+    own = log(recordings / RECORDINGS[1])
+    asked = Config.from_dict({"uwb": {"estimate_time_offset": True}})
+    runs = []
+    for late_s in (-0.2, 0.2):
+        late = dataclasses.replace(own, truth=None, uwb=own.uwb.replace(t_s=own.uwb.t_s + late_s))
+        runs.append(gn.smooth(late, asked))
+    assert any("s early against the IMU" in line for line in gn.smooth(early(own)).diagnostics.warnings)
+    first, second = (each.calibration["uwb_time_offset"] for each in runs)
+    # the same ranges twice: what parts the two is the prior alone, a fiftieth of it
+    assert first.value - second.value == pytest.approx(0.4, abs=0.3 * first.sigma)
+    assert max(rms(each, own) for each in runs) < 0.12
+    assert not any("stamped" in line for line in run(recordings / RECORDINGS[1]).diagnostics.warnings)
+
+
+def early(own: SensorLog) -> SensorLog:
+    return dataclasses.replace(own, truth=None, uwb=own.uwb.replace(t_s=own.uwb.t_s - 0.2))
 
 
 @pytest.mark.slow

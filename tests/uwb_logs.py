@@ -13,6 +13,7 @@ from graphnav.log import Frames, Imu, InitialState, SensorLog, Truth, Uwb, UwbAn
 ANCHORS = np.array([(1.112, 0.471, 1.375), (0.442, 1.483, 1.556), (1.925, 1.551, 1.913), (1.073, 0.542, 2.532)])
 LEVER = np.array([0.0, 0.0, -0.3])
 LATITUDE, GRAVITY, RATE = 35.0, 9.7973, 100.0
+SWING_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,16 @@ def passing(
     anchors: np.ndarray = ANCHORS,
     tag_start: tuple[float, float, float] = (0.5, 7.0, 0.0),
     known: bool = True,
+    swing_m: float = 0.0,
 ) -> SensorLog:
-    """Rest, then 4 m/min along -y at constant attitude; 100 Hz IMU, 40 ranges/s to the anchors in turn."""
+    """Rest, then 4 m/min along -y at constant attitude; 100 Hz IMU, 40 ranges/s to the anchors in turn.
+
+    With `swing_m` to and fro so far instead, in `SWING_S` there and back.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(1, int(seconds * RATE) + 1) / RATE
-    truth = _motion(np.r_[0.0, t], rest_s, np.array(tag_start) - LEVER)
+    start = np.array(tag_start) - LEVER
+    truth = _swing(np.r_[0.0, t], rest_s, start, swing_m) if swing_m else _motion(np.r_[0.0, t], rest_s, start)
     uwb = _ranges(rng, errors, truth, anchors)
     turn = np.zeros((len(t), 3)) + earth_rate_n(LATITUDE)
     force = np.diff(truth.vel_n_m_s, axis=0) * RATE + [0, 0, GRAVITY] + 2 * np.cross(turn, truth.vel_n_m_s[1:])
@@ -67,6 +73,13 @@ def _motion(t: np.ndarray, rest_s: float, start: np.ndarray) -> Truth:
     part = np.clip((t - rest_s) / 2.0, 0.0, 1.0)
     speed = 4 / 60 * part**2 * (3 - 2 * part)
     way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2 * np.diff(t))])
+    pos = start + np.outer(way, [0.0, -1.0, 0.0])
+    return Truth(t, pos, np.tile([1.0, 0, 0, 0], (len(t), 1)), np.outer(speed, [0.0, -1.0, 0.0]))
+
+
+def _swing(t: np.ndarray, rest_s: float, start: np.ndarray, far_m: float) -> Truth:
+    phase = 2 * np.pi * np.maximum(t - rest_s, 0.0) / SWING_S
+    way, speed = far_m / 2 * (1 - np.cos(phase)), far_m * np.pi / SWING_S * np.sin(phase)
     pos = start + np.outer(way, [0.0, -1.0, 0.0])
     return Truth(t, pos, np.tile([1.0, 0, 0, 0], (len(t), 1)), np.outer(speed, [0.0, -1.0, 0.0]))
 

@@ -55,6 +55,27 @@ def eliminate(linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering) -> gt
         raise SolveError.singular(error) from None
 
 
+def eliminated_last(linear: gtsam.GaussianFactorGraph, key: int) -> tuple[float, float]:
+    """What all factors together say of one variable of size 1: r > 0 and d of ``(r x - d)^2``.
+
+    By Cholesky where that does not fail: a sigma 1 / r and a step d / r need not be exact.
+
+    Raises
+    ------
+    SolveError : a singular system.
+    """
+    import gtsam
+
+    ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(linear, [key])
+    try:
+        tree = linear.eliminateMultifrontal(ordering)
+    except RuntimeError:  # indeterminate to Cholesky, as sound long chains may be
+        tree = eliminate(linear, ordering)
+    conditional = tree[key].conditional()
+    root, right = float(conditional.R()[-1, -1]), float(conditional.d()[-1])
+    return abs(root), right * float(np.sign(root))
+
+
 def ordering_of(linear: gtsam.GaussianFactorGraph, first: list[int] | None) -> gtsam.Ordering:
     """Fill-reducing order; with landmarks nested dissection of what is left after `first`."""
     import gtsam

@@ -21,9 +21,9 @@ from graphnav.errors import SolveError
 from graphnav.graph import FactorAt, fed_in_blocks
 from graphnav.initial import States
 from graphnav.legs import uses_legs
+from graphnav.markov_errors import slots
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
-from graphnav.ranges import slots
 from graphnav.solvers.absolute import predicted_factor
 from graphnav.solvers.incremental_legs import LegFeed, without_legs
 

@@ -16,9 +16,10 @@ from factors.so3 import Array
 from graphnav.camera import Camera
 from graphnav.graph import build_graph
 from graphnav.legs import LegReadings
+from graphnav.markov_errors import slots
 from graphnav.preintegration import Preintegrated
-from graphnav.problem import SIZES, B, C, D, L, Problem, V, X
-from graphnav.ranges import RangeReadings, slots
+from graphnav.problem import SIZES, B, C, D, L, Problem, T, V, X
+from graphnav.ranges import RangeReadings
 from graphnav.solvers.covariance import joint_marginals
 from graphnav.solvers.elimination import eliminate, elimination
 from graphnav.solvers.joint_keys import joint_covariance
@@ -56,12 +57,14 @@ def graph_covariances(
     Returns
     -------
     (T, 19, 19), or (T, 15, 15) without an odometer: bias and calibration are those of the interval that ends at the
-    keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`.
+    keyframe. With legs 8 more, `graphnav.observability.LIDAR_STATES`; with a time offset of ranges one more.
     """
-    graph, scanner = build_graph(problem, data, legs, advances, ranges, camera), list[int]()
+    graph, extra = build_graph(problem, data, legs, advances, ranges, camera), list[int]()
     if legs is not None and problem.log.lidar is not None:
-        graph, scanner = graph.only_legs(legs, problem.log.lidar), [D(0)]
-    groups = {i: (*_state_keys(problem, i), *scanner) for i in keyframes}
+        graph, extra = graph.only_legs(legs, problem.log.lidar), [D(0)]
+    if ranges is not None and ranges.family.clock is not None:
+        extra.append(T(0))
+    groups = {i: (*_state_keys(problem, i), *extra) for i in keyframes}
     apart = {key for keys in groups.values() for key in keys}
     chain = None if graph.chain is None else [key for key in graph.chain if key not in apart]
     linear = graph.linearize(values)
@@ -70,7 +73,7 @@ def graph_covariances(
     else:
         found = _smoothed(problem, linear, groups, chain, progress)
     own = 15 + 4 * problem.has_calibration
-    size = own + 8 * len(scanner)
+    size = own + sum(SIZES[key >> 56] for key in extra)
     to_n = np.zeros((len(keyframes), size, size))
     for k, i in enumerate(keyframes):
         rotation = values.atPose3(X(i)).rotation().matrix()
@@ -189,12 +192,8 @@ def _needs(problem: Problem, keys: list[int], seen: dict[tuple[int, ...], int]) 
             epochs = problem.bias_epoch if letter == "b" else problem.calibration_epoch
             needed = max(needed, int(np.searchsorted(epochs, index)) + 1)
     # a range lies between the keyframe whose pose it has and the next
-    return needed + (bool(poses) and any(key >> 56 == ord("a") for key in keys) and not _has_next(keys))
-
-
-def _has_next(keys: list[int]) -> bool:
-    """Whether a range's Markov errors name the keyframe after it already."""
-    return sum(key >> 56 == ord("m") for key in keys) == 2
+    between = 1 if any(key >> 56 == ord("a") for key in keys) else 0
+    return max([needed, *(pose - X(0) + between for pose in poses)])
 
 
 def _tie(keys: tuple[int, ...]) -> gtsam.GaussianFactor:
