@@ -124,9 +124,7 @@ def _agreeing(
     return values, np.asarray(off <= rule.reject_sigmas)
 
 
-def _roughly(
-    graph: SmoothingGraph, values: gtsam.Values, sigmas: float, iterations: int = _ITERATIONS
-) -> gtsam.Values:
+def _roughly(graph: SmoothingGraph, values: gtsam.Values, sigmas: float, iterations: int = _ITERATIONS) -> gtsam.Values:
     return batch.solve(
         graph, values, max_iterations=iterations, tolerance_sigma=sigmas, first=graph.chain, exact=False
     ).values

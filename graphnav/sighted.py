@@ -14,6 +14,8 @@ from graphnav.frontends.gyro_turns import gyro_turns
 from graphnav.frontends.rest import rest_spans
 from graphnav.log import RelativePose, SensorLog
 
+#: Share of motions that may fail without a word: the IMU bridges a frame or two.
+_FEW = 0.02
 Progress = Callable[[float, float], None]
 
 
@@ -77,9 +79,10 @@ def _moved(log: SensorLog, config: Config, notes: tuple[str, ...], progress: Pro
 
     turns = None if log.imu is None or log.stereo is None else gyro_turns(log.imu, log.stereo, rest_spans(log))
     found = stereo_motions(log, config.stereo_motions, rotation_prior=turns, progress=progress)
-    if found.failures:
+    links = len(found.inliers) + len(found.failures)
+    if len(found.failures) > _FEW * links:
         reason, count = Counter(failed.reason for failed in found.failures).most_common(1)[0]
-        notes += (f"no motion between {len(found.failures)} pairs of frames, {count} of them: {reason}",)
+        notes += (f"no motion from {len(found.failures)} of {links} keyframes to the next, {count} times: {reason}",)
     if found.poses is None:
         if log.imu is None:
             raise LogError(

@@ -75,8 +75,7 @@ def smooth(
 
         return run_ranges(log, config or Config(), method, stages)
     config = config or Config()
-    if method in STEREO_METHODS:
-        config = config.model_copy(update={"stereo": config.stereo.model_copy(update={"form": "loose"})})
+    config = _looking(config, method, log)
     if method == "stereo":
         from graphnav.stereo_filtered import run_stereo
 
@@ -105,6 +104,14 @@ def smooth(
     from graphnav.filtered import run_baseline
 
     return run_baseline(problem, method, stages)
+
+
+def _looking(config: Config, method: str, log: SensorLog) -> Config:
+    """With what the method makes of a stereo camera: nothing but motions, or nothing at all."""
+    if method in GRAPH_METHODS or log.imu is None:
+        return config
+    form = "loose" if method in ("stereo", "vio-kf") else "off"
+    return config.model_copy(update={"stereo": config.stereo.model_copy(update={"form": form})})
 
 
 def posed(log: SensorLog | str | Path, config: Config, stages: Stages) -> Problem:
