@@ -78,7 +78,8 @@ class TrackReadings:
 
 def uses_tracks(problem: Problem | ChainProblem) -> bool:
     """Whether readings of features take part."""
-    return problem.log.stereo_tracks is not None and problem.config.stereo.form != "off"
+    log = problem.log
+    return log.stereo_tracks is not None and log.stereo is not None and problem.config.stereo.form != "off"
 
 
 def track_readings(problem: Problem | ChainProblem) -> TrackReadings | None:
