@@ -1,0 +1,86 @@
+"""Reproduction of the roadheader's visual-inertial odometry: table 6, figures 8, 9 and 14, on simulated images.
+
+SINS, stereo odometry, the paper's filter and the factor graph on roadheader-stereo, with raw and enhanced images. The
+logs with their images (0.2 GB and some 90 s of one core each) are kept in a folder outside the repository. With --page
+a page is written, with its pictures. A method that fails has a row that says why.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks._report import Before, parser, publish, say
+from benchmarks.papers._vio_cases import Found, run_cases
+from benchmarks.papers._vio_features import Shown, enhancement_ms, followed, matches, shown
+from benchmarks.papers._vio_logs import default_folder, log_of
+from benchmarks.papers._vio_rows import Results, all_rows
+
+
+def measure(seeds: Sequence[int], folder: Path, pairs: int, fresh: bool) -> Results:
+    """All seeds, one after the other: the front end has both cores, then all else is timed in this process."""
+    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
+    return Results(tuple(_found(seed, folder, pairs, fresh) for seed in seeds), enhancement_ms(seeds[0]))
+
+
+def _found(seed: int, folder: Path, pairs: int, fresh: bool) -> Found:
+    began = time.monotonic()
+
+    def said(what: str) -> None:
+        say(f"seed {seed}, {time.monotonic() - began:.0f} s: {what}")
+
+    log = log_of(seed, folder, fresh)
+    front = followed(log)
+    said("features followed")
+    kept, true = matches(seed, pairs)
+    said("features matched")
+    return replace(run_cases(seed, log, said), front=front, matched=kept, confirmed=true)
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Parse, measure, print, and write the page."""
+    args = parser(__doc__)
+    args.add_argument("--seeds", type=int, default=5, help="number of seeds")
+    args.add_argument("--first-seed", type=int, default=0)
+    args.add_argument("--pairs", type=int, default=40, help="pairs of frames of each seed whose features are matched")
+    args.add_argument("--logs", type=Path, default=default_folder(), help="folder of kept logs (default %(default)s)")
+    args.add_argument("--keep-tracks", action="store_true",
+                      help="make do with features that an earlier run has followed; its pairs a second stand")  # fmt: skip
+    args.add_argument("--page", type=Path, help="write the page, such as docs/papers/roadheader-vio.md")
+    args.add_argument("--figures", type=Path, help="folder of the pictures (default: beside the page, named as it is)")
+    arguments, before = args.parse_args(argv), Before.now()
+    if arguments.seeds < 1 or arguments.pairs < 1:
+        args.error("--seeds and --pairs need at least 1")
+    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
+    results = measure(seeds, arguments.logs, arguments.pairs, not arguments.keep_tracks)
+    pictures = _draw(results, shown(seeds[0], arguments.pairs), arguments.figures, arguments.page)
+    if arguments.page is not None:
+        from benchmarks.papers._vio_page import write
+
+        write(arguments.page, results, pictures, _command(seeds, arguments.pairs), before)
+    publish(all_rows(results), arguments.json, before)
+
+
+def _draw(results: Results, pair: dict[str, Shown], folder: Path | None, page: Path | None) -> dict[str, Path]:
+    """Pictures by name, where a folder or a page is asked for."""
+    if folder is None and page is None:
+        return {}
+    from benchmarks.papers._vio_figures import draw
+
+    return draw(results, pair, folder or (page or Path()).with_suffix(""))
+
+
+def _command(seeds: range, pairs: int) -> str:
+    """What made the page."""
+    first = f" --first-seed {seeds[0]}" if seeds[0] else ""
+    some = "" if pairs == 40 else f" --pairs {pairs}"
+    return (
+        f"python -m benchmarks.papers.roadheader_vio --seeds {len(seeds)}{first}{some} --page docs/papers/roadheader-vio.md"
+    )
+
+
+if __name__ == "__main__":
+    main()
