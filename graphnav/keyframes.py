@@ -64,7 +64,7 @@ def run_frontend(
     rest_s : (K, 2) spans at rest where they are known already; None finds them.
     guide : motions of the camera between frames that become keyframes.
     """
-    start, end = _record(log)
+    start, end = _record(log, guide)
     cycles = find_cycles(log)
     use_path = config.closed_path.form != "off" and log.odometer is not None
     closed = closed_path_points(log, cycles, config.closed_path.interval_m) if use_path else ()
@@ -88,12 +88,13 @@ def run_frontend(
     return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes, ranging, guide)
 
 
-def _record(log: SensorLog) -> tuple[float, float]:
-    """Start and end of what carries the state: the IMU, or relative poses where there is none."""
+def _record(log: SensorLog, guide: RelativePose | None) -> tuple[float, float]:
+    """Start and end of what carries the state: the IMU, or the camera's motions where there is none."""
     if log.imu is not None:
         return log.imu.start_s, float(log.imu.t_s[-1])
-    if log.relative_pose is not None:
-        return float(log.relative_pose.t_from_s[0]), float(log.relative_pose.t_to_s[-1])
+    poses = guide if log.relative_pose is None else log.relative_pose
+    if poses is not None:
+        return float(poses.t_from_s[0]), float(poses.t_to_s[-1])
     fix = "smoothing needs an IMU, or relative poses that follow each other"
     raise LogError("no imu table and no relative_pose table", where=f"log {log.name}", fix=fix)
 

@@ -120,6 +120,10 @@ def test_page_has_the_figures_and_its_pictures(measured: tuple[Results, list[str
         assert (tmp_path / picture).stat().st_size > 1000
     raw = measured[0].mean("DICM", "usual noise", "raw", "orb", "true")
     assert f"| DICM, ORB | {raw:.0f} |" in written
+    rendered = [measured[0].mean("rendered roadway", "usual noise", "raw", kind, "true") for kind in dark.KINDS]
+    flat = [measured[0].mean("rendered roadway", "usual noise", "R alone", kind, "true") for kind in dark.KINDS]
+    shares = " / ".join(f"{own / max(raw, 1e-9):.2f}" for own, raw in zip(flat, rendered, strict=True))
+    assert f"R alone has {shares} times those of raw" in " ".join(written.split())
     assert "LIME, SIFT" not in written and "```python\nfrom graphnav.frontends.enhancement import" in written
     assert all(len(line) <= 120 or line.startswith(("|", "!")) for line in written.splitlines())
 

@@ -150,8 +150,8 @@ def _rendered(results: Results) -> list[str]:
     for group, noise in found:
 
         def by(variant: str, base: str, at: tuple[str, str] = (group, noise)) -> str:
-            means = [(results.mean(*at, v, k, "true") for v in (variant, base)) for k in KINDS]
-            return " / ".join(f"{own / max(other, 1e-9):.2f}" for own, other in means)
+            own, other = ([results.mean(*at, v, k, "true") for k in KINDS] for v in (variant, base))
+            return " / ".join(f"{a / max(b, 1e-9):.2f}" for a, b in zip(own, other, strict=True))
 
         lines.append(
             f"- On the {group} (SIFT / ORB) the enhanced images have {by('enhanced', 'CLAHE')} times the true matches"

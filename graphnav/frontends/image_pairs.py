@@ -20,7 +20,7 @@ _FIX_FOLDER = "put the images where the stereo table says, relative to the log f
 
 
 class SkippedFrame(Exception):
-    """A frame that cannot be used; its text is the reason."""
+    """A frame that cannot be used; its text is the reason, the same for frames with the same fault."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +104,11 @@ def read_grey(path: Path) -> Image:
     try:
         content = np.fromfile(path, np.uint8)
     except OSError as error:
-        raise SkippedFrame(f"{path.name}: {error.strerror or 'cannot be read'}") from None
+        raise SkippedFrame(f"file: {error.strerror or 'cannot be read'}") from None
     # decoded from memory: imread warns on standard error about a damaged file, and takes no path of other letters
     image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE) if len(content) else None
     if image is None:
-        raise SkippedFrame(f"{path.name}: no image, or a damaged one")
+        raise SkippedFrame("file: no image, or a damaged one")
     return np.asarray(image, np.uint8)
 
 
@@ -124,7 +124,10 @@ def read_pair(files: PairFiles, size: tuple[int, int]) -> tuple[Image, Image]:
     """
     found = []
     for side, path in (("left", files.left), ("right", files.right)):
-        image = read_grey(path)
+        try:
+            image = read_grey(path)
+        except SkippedFrame as reason:
+            raise SkippedFrame(f"{side} image {reason}") from None
         if (image.shape[1], image.shape[0]) != size:
             raise LogError(
                 f"{side} image of {image.shape[1]} x {image.shape[0]} pixels, expected {size[0]} x {size[1]}",

@@ -20,13 +20,13 @@ import numpy as np
 
 from graphnav.frontends._opencv import opencv
 from graphnav.frontends.image_pairs import PairFiles
+from graphnav.frontends.stereo_result import Tracked
 from graphnav.frontends.stereo_sides import Skipped
 from graphnav.log import SensorLog, StereoTracks
 from graphnav.readers.sections import CACHE_FOLDER, LOG_FILE
 
 if TYPE_CHECKING:
     from graphnav.config import StereoTracksConfig
-    from graphnav.frontends.stereo_tracks import Tracked
 
 #: Raised with every change of what comes out of the same images.
 VERSION = 1
@@ -44,7 +44,7 @@ def cache_file(log: SensorLog, files: Sequence[PairFiles], settings: StereoTrack
     figures = [camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, camera.baseline_m]
     known: dict[str, Any] = {
         "versions": [VERSION, opencv().__version__],
-        "settings": settings.model_dump(),
+        "settings": settings.model_dump(exclude={"bias_px"}),  # a figure about the tracks, not for them
         "camera": [float(value).hex() for value in figures],
         "pairs": [[pair.t_s.hex(), _state(pair.left), _state(pair.right)] for pair in files],
     }
@@ -64,8 +64,6 @@ def kept(path: Path) -> Tracked | None:
     """The tracks of a file; None if there is none, or it cannot be read."""
     import pyarrow as pa
     from pyarrow import parquet
-
-    from graphnav.frontends.stereo_tracks import Tracked
 
     try:
         table = parquet.read_table(path)

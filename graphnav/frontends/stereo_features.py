@@ -1,8 +1,9 @@
 """Point features of an image, ORB or SIFT: detected, thinned out so that they spread, and described.
 
 Places are those of pixel centres. ORB finds features in smaller and smaller images and multiplies places there by the
-scale: a pixel's centre at x of an image s times smaller is at ``s x + (s - 1) / 2``, half a pixel to the side for s = 2
-of what it reports. That is put right here. SIFT doubles its first image and is off by 0.25 px unless told to take care.
+scale. But a pixel's centre at x of an image s times smaller is at ``s (x + 1/2) - 1/2``, and as images are of whole
+pixels, s is not quite what was asked for: together up to a pixel, which is put right here. SIFT doubles its first image
+and is off by 0.25 px unless told to take care.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ _SIFT_CONTRAST = 0.008
 #: Cells of the grid, across and down, over which features are spread; and how many times an even share one may hold.
 CELLS = (8, 6)
 _SHARES = 2.0
-#: Detected for one that is kept.
-_SPARE = 3
+#: Detected by ORB for one that is kept; SIFT detects all there are.
+_SPARE = 4
 
 
 @dataclass(frozen=True)
@@ -63,27 +64,35 @@ def detected(image: Image, kind: Kind, count: int, spread: bool = True) -> Featu
     image : grey.
     kind : "orb" or "sift".
     count : how many at most.
-    spread : thin out to `count` so that no part of the image has all of them; else the best `_SPARE` times `count`.
+    spread : thin out to `count` so that no part of the image has all of them; else more than `count`: the strongest
+        `_SPARE` times as many (ORB), or all (SIFT).
     """
+    size = (image.shape[1], image.shape[0])
     found, described = _detector(kind, _SPARE * count).detectAndCompute(image, None)
-    if not found:
-        return _features(np.empty((0, 2)), np.empty(0), np.empty((0, 32 if kind == "orb" else 128)), kind)
-    uv, response = np.array([k.pt for k in found], float), np.array([k.response for k in found])
-    octave = np.array([k.octave for k in found])
-    features = _features(uv, octave, described, kind)
+    features = _features(found, described, kind, size)
     if not spread:
         return features
-    return features.take(spread_rows(uv, response, (image.shape[1], image.shape[0]), count))
+    return features.take(spread_rows(features.uv_px, np.array([k.response for k in found]), size, count))
 
 
-def _features(uv: Places, octave: npt.NDArray[Any], described: npt.NDArray[Any], kind: Kind) -> Features:
+def _features(found: Any, described: Any, kind: Kind, size: tuple[int, int]) -> Features:
+    uv = np.array([k.pt for k in found], float).reshape(-1, 2)
+    octave = np.array([k.octave for k in found], np.int64)
+    if described is None:
+        described = np.empty((0, 32 if kind == "orb" else 128))
     if kind == "orb":
-        scale = _ORB_SCALE**octave
+        scale = np.asarray(_ORB_SCALE**octave, np.float64)
         bits = np.ascontiguousarray(described, np.uint8).view(np.uint64)
-        return Features(uv + (scale[:, None] - 1) / 2, np.asarray(scale, float), bits)
-    octave = octave.astype(np.int64) & 255  # the lowest byte, signed: -1 is the doubled image
+        return Features(_of_pixel_centres(uv, scale, size), scale, bits)
+    octave = octave & 255  # the lowest byte, signed: -1 is the doubled image
     octave = np.where(octave > 127, octave - 256, octave)
-    return Features(uv, 2.0**octave, np.ascontiguousarray(described, np.float32))
+    return Features(uv, np.asarray(2.0**octave, np.float64), np.ascontiguousarray(described, np.float32))
+
+
+def _of_pixel_centres(uv: Places, scale: Places, size: tuple[int, int]) -> Places:
+    """Places in the image (N, 2) of what ORB found in one `scale` (N,) times smaller, rounded to whole pixels."""
+    smaller = np.rint(np.array(size) / scale[:, None])
+    return np.asarray((uv / scale[:, None] + 0.5) * size / smaller - 0.5)
 
 
 @cache
@@ -91,7 +100,7 @@ def _detector(kind: Kind, count: int) -> Any:
     cv2 = opencv()
     if kind == "orb":
         return cv2.ORB_create(count, _ORB_SCALE, _ORB_LEVELS, edgeThreshold=15, patchSize=25, fastThreshold=_ORB_STEP)
-    return cv2.SIFT_create(count, contrastThreshold=_SIFT_CONTRAST, enable_precise_upscale=True)
+    return cv2.SIFT_create(0, contrastThreshold=_SIFT_CONTRAST, enable_precise_upscale=True)
 
 
 def cell_of(uv_px: Places, size: tuple[int, int]) -> Whole:
@@ -106,11 +115,11 @@ def most_per_cell(count: int) -> int:
 
 
 def spread_rows(uv_px: Places, response: Places, size: tuple[int, int], count: int) -> Whole:
-    """Rows of at most `count` features: the strongest, but no more than a share from each cell of the grid."""
+    """Rows of at most `count` features: the strongest of every cell first, then the second of every cell, and so on."""
     rank = rank_within(cell_of(uv_px, size), -response)
     allowed = np.flatnonzero(rank < most_per_cell(count))
-    strongest = allowed[np.argsort(-response[allowed], kind="stable")[:count]]
-    return np.sort(strongest)
+    order = np.lexsort([-response[allowed], rank[allowed]])
+    return np.sort(allowed[order[:count]])
 
 
 def rank_within(group: Whole, key: npt.NDArray[Any]) -> Whole:

@@ -112,8 +112,8 @@ class PairWork:
 def _too_few(found: Sides, right: int, wanted: int) -> str:
     for side, count in (("left", found.detected), ("right", right)):
         if count < wanted:
-            return f"{count} features in the {side} image, fewer than {wanted}"
-    return f"{len(found.features)} features seen in both images, fewer than {wanted}"
+            return f"fewer than {wanted} features in the {side} image"
+    return f"fewer than {wanted} features that are in both images"
 
 
 def enhanced(image: Image, method: str) -> Image:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,35 +20,14 @@ from graphnav.frontends.image_pairs import PairFiles, image_size, pair_files
 from graphnav.frontends.stereo_cache import cache_file, keep, kept
 from graphnav.frontends.stereo_calibration_check import check_calibration
 from graphnav.frontends.stereo_linking import Linker, Sight
+from graphnav.frontends.stereo_result import Tracked
 from graphnav.frontends.stereo_sides import PairWork, Skipped
 from graphnav.log import SensorLog, StereoTracks
 
 if TYPE_CHECKING:
     from graphnav.config import StereoTracksConfig
 
-
-@dataclass(frozen=True)
-class Tracked:
-    """Features followed through a log's image pairs.
-
-    Attributes
-    ----------
-    tracks : the table.
-    t_s, counts : (K,) times of the frames that were used, and the number of features in each.
-    skipped : the frames that were not, and why.
-    seconds : how long it took.
-    """
-
-    tracks: StereoTracks
-    t_s: npt.NDArray[np.float64]
-    counts: npt.NDArray[np.int64]
-    skipped: tuple[Skipped, ...]
-    seconds: float
-
-    @property
-    def mean_length(self) -> float:
-        """Frames in which a track is seen, on average."""
-        return len(self.tracks) / len(np.unique(self.tracks.track))
+__all__ = ["Tracked", "tracked"]
 
 
 def tracked(

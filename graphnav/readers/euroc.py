@@ -41,7 +41,7 @@ from graphnav.readers.vibration import noise_density
 Stamps = npt.NDArray[np.int64]
 
 #: Vectors in the IMU's axes (up, right, forward) -> right, forward, up.
-_RFU_FROM_IMU = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+RFU_FROM_IMU = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 #: The tracking room is at ETH Zurich.
 _PLACE = Frames(latitude_deg=47.4, longitude_deg=8.5, height_m=460.0)
 #: Bias of the gyro (chosen): as recorded, and after its rate while standing was removed.
@@ -158,7 +158,7 @@ def _noise(path: Path) -> dict[str, float]:
 def _imu(t_s: Array, samples: Array, noise: dict[str, float], zero_gyro_s: float) -> Imu:
     """Rows of the log; each random walk is the larger of the yaml's and the one seen in flight."""
     interval = float(np.median(np.diff(t_s)))
-    gyro, accel = samples[:, :3] @ _RFU_FROM_IMU.T, samples[:, 3:] @ _RFU_FROM_IMU.T
+    gyro, accel = samples[:, :3] @ RFU_FROM_IMU.T, samples[:, 3:] @ RFU_FROM_IMU.T
     gyro_walk, accel_walk = (noise_density(axes, interval, _NOISE_BAND_HZ) for axes in (gyro, accel))
     bias = _RECORDED_GYRO_BIAS_DEG_H
     if zero_gyro_s > 0:
@@ -193,7 +193,7 @@ def _standing_rate(t_s: Array, gyro_b: Array, until_s: float) -> Array:
 
 
 def _truth(t_s: Array, reference: Array) -> Truth:
-    rotation_nb = so3.from_quaternion(reference[:, 3:7]) @ _RFU_FROM_IMU.T
+    rotation_nb = so3.from_quaternion(reference[:, 3:7]) @ RFU_FROM_IMU.T
     return Truth(
         t_s=t_s,
         pos_n_m=reference[:, :3],
