@@ -1,4 +1,4 @@
-"""The reproduction of the roadheader's paper, on short logs of drawn tracks: rows, page and pictures are of the runs."""
+"""The reproduction of the roadheader's paper, on short logs of drawn tracks: rows and page are of the runs made."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def course(name: str, log: Any) -> Course | str:
     )  # fmt: skip
 
 
-def _compared(t_s: Array, log: Any) -> tuple[Array, Array]:
+def _compared(t_s: Array, log: Any) -> tuple[Any, Any]:
     """Keyframes of the drive that fall on rows of truth, and these rows: the machine shakes between them."""
     true_s, start_s = log.truth.t_s, log.initial.static_until_s or 0.0
     nearest = np.clip(np.searchsorted(true_s, t_s - _ON_ROW_S), 0, len(true_s) - 1)
@@ -149,7 +149,7 @@ def difference(pose: Array, true: Array) -> Array:
     return error
 
 
-def sigmas(states: Any, rows: Array) -> Array | None:
+def sigmas(states: Any, rows: Any) -> Array | None:
     """Sigmas (N, 6) of position and angles; for these the machine is near enough to level."""
     if states.cov is None:
         return None

@@ -103,7 +103,8 @@ def errors(one: Found, cases: tuple[str, ...]) -> Any:
             at.plot(course.t_s, scale * course.error[:, k], color=colour, lw=1.0, label=NAMES[case])
             if course.sigma is not None:
                 reach = 3 * scale * course.sigma[:, k]
-                at.fill_between(course.t_s, -reach, reach, color=colour, alpha=0.18, lw=0, label="its 3 sigmas")
+                said = f"3 sigmas of {NAMES[case]}"
+                at.fill_between(course.t_s, -reach, reach, color=colour, alpha=0.18, lw=0, label=said)
         at.set_ylabel(f"error in {axis}, {unit}")
     for at in axes[2]:
         at.set_xlabel("time, s")
@@ -126,6 +127,7 @@ def way(one: Found) -> Any:
     axes[1, 0].set_ylabel("error in x, mm")
     _frame(axes[0, 0], [true[:, 0], *(c.pose[:, 0] for case, c in known.items() if case != "sins")])
     _frame(axes[1, 0], [1e3 * c.error[:, 0] for case, c in known.items() if case != "sins"])
+    axes[1, 0].set_xlim(true[:, 1].min() - 0.3, true[:, 1].max() + 0.3)  # SINS alone leaves it
     axes[1, 0].set_xlabel("y, along the roadway, m")
     _legend(figure, axes[0, 0])
     return figure

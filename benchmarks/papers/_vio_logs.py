@@ -20,22 +20,15 @@ def default_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "graphnav" / "roadheader-vio"
 
 
-def log_of(seed: int, folder: Path, fresh: bool = True) -> Any:
-    """The log of a seed, with its truth and its images.
-
-    Parameters
-    ----------
-    folder : of kept logs.
-    fresh : forget tracks that an earlier run has left there, which may be those of other sources.
-    """
+def log_of(seed: int, folder: Path) -> Any:
+    """The log of a seed, with its truth and its images; without tracks, which an earlier run's sources have left."""
     import graphnav as gn
 
     place = folder / f"seed-{seed}-{sources_id('graphnav/simulation')}"
     if not place.exists():
         _make(seed, place)
-    if fresh:
-        for tracks in (place / ".graphnav").glob("tracks-*.parquet"):
-            tracks.unlink()
+    for tracks in (place / ".graphnav").glob("tracks-*.parquet"):
+        tracks.unlink()
     return gn.read(place)
 
 

@@ -125,5 +125,3 @@ class Page:
 def cells_of(k: int, *rows: published.Six) -> list[str]:
     """One axis of several rows."""
     return [cell(row[k], k) for row in rows]
-
-

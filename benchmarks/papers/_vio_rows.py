@@ -137,21 +137,25 @@ def _case_rows(results: Results, case: str) -> list[Row]:
         rows += [
             row(f"{case}: {name} {axis}", float(ours[k]), UNITS[k], peer=float(peers[k])) for k, axis in enumerate(AXES)
         ]
-    seconds = results.median(case, lambda one: one.seconds)
     rows.append(row(f"{case}: position NEES", results.nees(case, 0), "1"))
     rows.append(row(f"{case}: attitude NEES", results.nees(case, 1), "1"))
-    return [*rows, row(f"{case}: seconds without the front end", None if seconds is None else float(seconds), "s")]
+    return [
+        *rows,
+        row(f"{case}: seconds without the front end", _number(results.median(case, lambda one: one.seconds)), "s"),
+    ]
 
 
 def _gain_rows(results: Results) -> list[Row]:
     """What enhancement does to the graph's accuracy: below 1 it gains."""
-    raw = results.median(GRAPH, rms_3d)
-    rows = []
-    for case in (CLAHE, ENHANCED):
-        ours = results.median(case, rms_3d)
-        rows.append(row(f"{case} by {GRAPH}: rms 3-D", *(None if v is None else float(v) for v in (ours,)), "m",
-                        peer=None if raw is None else float(raw)))  # fmt: skip
-    return rows
+    raw, *others = (_number(results.median(case, rms_3d)) for case in (GRAPH, CLAHE, ENHANCED))
+    return [
+        row(f"{case} by {GRAPH}: rms 3-D", ours, "m", peer=raw)
+        for case, ours in zip((CLAHE, ENHANCED), others, strict=True)
+    ]
+
+
+def _number(value: Array | None) -> float | None:
+    return None if value is None else float(value)
 
 
 def _feature_rows(results: Results) -> list[Row]:

@@ -18,6 +18,7 @@ from benchmarks.papers._vio_cases import (
 from benchmarks.papers._vio_figures import NAMES
 from benchmarks.papers._vio_published import AXES, UNITS
 from benchmarks.papers._vio_rows import Results, asked, largest, rms_3d
+from graphnav._consistency import band
 
 TITLE = """
 # Reproduction: visual-inertial odometry of a roadheader
@@ -47,20 +48,20 @@ This page is written by
 
 
 METHODS = """
-- *SINS alone* (`--method sins`): inertial navigation, aligned and relieved of what the rest of 60 s tells of its biases.
+- *SINS alone* (`--method sins`): inertial navigation, aligned, and relieved of the biases that the rest of 60 s tells.
 - *Stereo odometry alone* (`stereo`): motions between keyframes, found from tracked features, one behind the other.
 - *The paper's filter* (`vio-kf`): equations 17 to 32, 15 states, position and attitude of the SINS less those of the
   chained stereo odometry. The paper states no measurement noise; `vio_filter` has what a camera's maker might state.
-- *Filter on relative poses* (`vio_filter.relative`): the same filter, in which each motion measures how the pose changed
-  since its keyframe (a cloned pose), with the covariance that stereo odometry states.
+- *Filter on relative poses* (`vio_filter.relative`): the same filter, in which each motion measures how the pose
+  changed since its keyframe (a cloned pose), with the covariance that stereo odometry states.
 - *Graph, loose* (`batch`, `stereo.form = "loose"`): the same motions as relative-pose factors. *Graph, tight*
   (`batch`): each tracked feature is a point of the graph.
 - *Enhanced images*: `stereo_tracks.enhance = "retinex-dust"`, the paper's equations 1 to 9; *CLAHE* is the common
   alternative.
-- Errors are estimate less truth at the keyframes from the start of travel on: x to the right of the roadway, y along it,
-  z up; roll about the way ahead, yaw about up, pitch about the right. Means are of the signed error, and of them the
-  size is shown, since their sign is another one with each seed. NEES is the mean of e' P^-1 e / 3: 1 is consistent,
-  above 1 too sure of itself.
+- Errors are estimate less truth at the keyframes from the start of travel on: x to the right of the roadway, y along
+  it, z up; roll about the way ahead, yaw about up, pitch about the right. Means are of the signed error, and
+  of them the size is shown, since their sign is another one with each seed. NEES is the mean of
+  e' P^-1 e / 3: 1 is consistent, above 1 too sure of itself.
 """
 
 ASKED = "## What is asked of the graph"
@@ -109,8 +110,8 @@ def why(results: Results) -> str:
     if alone is not None:
         lines.append(
             f"- SINS alone ends up {_biggest(alone)} off, the paper's {published.LARGEST['sins'][1]:g} m. A bias of 0.5"
-            " mg that the rest does not tell from tilt, or a tilt of 0.01 deg, is 50 to 140 m after 240 s; what the paper"
-            " calls SINS must have been held by something that it does not name, such as stops or an odometer."
+            " mg that the rest does not tell from tilt, or a tilt of 0.01 deg, is 50 to 140 m after 240 s; what the"
+            " paper calls SINS must have been held by something that it does not name, such as stops or an odometer."
         )
     for case, said in (
         ("stereo", "has no IMU: its errors grow with the way, and with what it makes of each turn"),
@@ -121,7 +122,7 @@ def why(results: Results) -> str:
     ):
         ours = results.median(case, largest)
         if ours is not None:
-            lines.append(f"- {NAMES[case].capitalize()} {said}: largest errors {_all(ours)}.")
+            lines.append(f"- {_upper(NAMES[case])} {said}: largest errors {_all(ours)}.")
     ours, filtered = results.median(GRAPH, largest), results.median("vio-kf", largest)
     if ours is not None and filtered is not None:
         shares = ", ".join(f"{axis} {ours[k] / filtered[k]:.2f}" for k, axis in enumerate(AXES))
@@ -131,20 +132,22 @@ def why(results: Results) -> str:
 
 def why_consistency(results: Results) -> str:
     """What the NEES show."""
+    low, high = band(3 * len(results.found))
     lines = [
-        "- Errors of one drive hang together: one run counts for little more than one draw of three axes, whose 95 %"
-        " band is 0.07 to 3.1. Over several seeds the band of the mean is narrower: for five it is 0.42 to 1.83."
+        "- Errors of one drive hang together: a run counts for little more than one draw of three axes. The 95 % band"
+        f" of the mean over {len(results.found)} of them is {low:.2f} to {high:.2f}."
     ]
-    for case in ("vio-kf", RELATIVE, LOOSE, GRAPH):
+    for case in ("stereo", "vio-kf", RELATIVE, LOOSE, GRAPH):
         values = [results.nees(case, which) for which in (0, 1)]
         if values[0] is not None and values[1] is not None:
-            lines.append(f"- {NAMES[case].capitalize()}: {_judged(values[0])} in position, {_judged(values[1])} in attitude.")
+            said = [_judged(value, low, high) for value in values if value is not None]
+            lines.append(f"- {_upper(NAMES[case])}: {said[0]} in position, {said[1]} in attitude.")
     return "\n".join(lines)
 
 
-def _judged(nees: float) -> str:
-    """A word on a NEES over a few seeds."""
-    word = "too sure of itself" if nees > 1.83 else "too modest" if nees < 0.42 else "consistent"
+def _judged(nees: float, low: float, high: float) -> str:
+    """A word on a NEES, given the band of a consistent estimator."""
+    word = "too sure of itself" if nees > high else "too modest" if nees < low else "consistent"
     return f"{word} ({nees:.2g})"
 
 
@@ -156,17 +159,17 @@ def why_features(results: Results) -> str:
         true_raw, true = (results.matched(name, true=True) for name in ("none", "retinex-dust"))
         lines += [
             f"- SIFT as OpenCV ships it, left images a second (8 cm) apart, {len(raw)} pairs of frames. RANSAC keeps"
-            f" {raw.mean():.0f} matches of raw images and {made.mean():.0f} of enhanced ones, {made.mean() / raw.mean():.2f}"
-            f" times as many (asked: 1.2; the paper: {published.MATCHED_RAW:.0f} and {published.MATCHED_ENHANCED:.0f},"
-            " 1.2).",
+            f" {raw.mean():.0f} matches of raw images and {made.mean():.0f} of enhanced ones,"
+            f" {made.mean() / raw.mean():.2f} times as many (asked: 1.2; the paper:"
+            f" {published.MATCHED_RAW:.0f} and {published.MATCHED_ENHANCED:.0f}, 1.2).",
             f"- The true motion confirms {true_raw.mean():.0f} and {true.mean():.0f} of them: RANSAC also keeps what"
             " matches by chance where the motion would have it.",
         ]
     speed = results.front("none", "pairs_per_s")
     if speed is not None:
         lines.append(
-            f"- The front end follows features through {speed:.0f} pairs a second with two workers (asked: 60; the paper:"
-            f" {published.FRAMES_PER_SECOND:.0f}), raw images; the time of reading the images is in it."
+            f"- The front end follows features through {speed:.0f} pairs a second with two workers (asked: 60; the"
+            f" paper: {published.FRAMES_PER_SECOND:.0f}), raw images; the time of reading the images is in it."
         )
     ms = results.enhancement_ms.get("retinex-dust")
     if ms is not None:
@@ -190,7 +193,7 @@ def why_gain(results: Results) -> str:
                 continue
             share = float(ours) / float(plain)
             said = "a gain" if share < 0.95 else "a loss" if share > 1.05 else "neither gain nor loss"
-            lines.append(f"- {NAMES[case].capitalize()}: {share:.2f} times the rms with raw images, {said}.")
+            lines.append(f"- {_upper(NAMES[case])}: {share:.2f} times the rms with raw images, {said}.")
     lines.append(
         "- Medians of few seeds: a difference of a tenth or two is within what seeds differ by. Enhancement also moves"
         " noise to where dark places were, and the places of features with it."
@@ -205,6 +208,10 @@ def _all(values: object) -> str:
 
 def _biggest(values: object) -> str:
     return f"{max(float(v) for v in values[:3]):.0f} {UNITS[0]}"  # type: ignore[index]
+
+
+def _upper(name: str) -> str:
+    return name[0].upper() + name[1:]
 
 
 def _and(names: list[str]) -> str:

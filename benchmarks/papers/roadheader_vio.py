@@ -16,23 +16,35 @@ from pathlib import Path
 from benchmarks._report import Before, parser, publish, say
 from benchmarks.papers._vio_cases import Found, run_cases
 from benchmarks.papers._vio_features import Shown, enhancement_ms, followed, matches, shown
+from benchmarks.papers._vio_kept import keep, kept
 from benchmarks.papers._vio_logs import default_folder, log_of
 from benchmarks.papers._vio_rows import Results, all_rows
 
 
-def measure(seeds: Sequence[int], folder: Path, pairs: int, fresh: bool) -> Results:
-    """All seeds, one after the other: the front end has both cores, then all else is timed in this process."""
+def measure(seeds: Sequence[int], folder: Path, pairs: int, again: bool) -> Results:
+    """All seeds, one after the other: the front end has both cores, then all else is timed in this process.
+
+    Parameters
+    ----------
+    folder : of the logs, where outcomes are left too.
+    again : measure also what an earlier run of the same graphnav has left.
+    """
     os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1")
-    return Results(tuple(_found(seed, folder, pairs, fresh) for seed in seeds), enhancement_ms(seeds[0]))
+    found = []
+    for seed in seeds:
+        known = None if again else kept(seed, folder)
+        found.append(known or _found(seed, folder, pairs))
+        keep(found[-1], folder)
+    return Results(tuple(found), enhancement_ms(seeds[0]))
 
 
-def _found(seed: int, folder: Path, pairs: int, fresh: bool) -> Found:
+def _found(seed: int, folder: Path, pairs: int) -> Found:
     began = time.monotonic()
 
     def said(what: str) -> None:
         say(f"seed {seed}, {time.monotonic() - began:.0f} s: {what}")
 
-    log = log_of(seed, folder, fresh)
+    log = log_of(seed, folder)
     front = followed(log)
     said("features followed")
     kept, true = matches(seed, pairs)
@@ -47,15 +59,14 @@ def main(argv: list[str] | None = None) -> None:
     args.add_argument("--first-seed", type=int, default=0)
     args.add_argument("--pairs", type=int, default=40, help="pairs of frames of each seed whose features are matched")
     args.add_argument("--logs", type=Path, default=default_folder(), help="folder of kept logs (default %(default)s)")
-    args.add_argument("--keep-tracks", action="store_true",
-                      help="make do with features that an earlier run has followed; its pairs a second stand")  # fmt: skip
+    args.add_argument("--kept", action="store_true", help="take what an earlier run of the same sources has left there")
     args.add_argument("--page", type=Path, help="write the page, such as docs/papers/roadheader-vio.md")
     args.add_argument("--figures", type=Path, help="folder of the pictures (default: beside the page, named as it is)")
     arguments, before = args.parse_args(argv), Before.now()
     if arguments.seeds < 1 or arguments.pairs < 1:
         args.error("--seeds and --pairs need at least 1")
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    results = measure(seeds, arguments.logs, arguments.pairs, not arguments.keep_tracks)
+    results = measure(seeds, arguments.logs, arguments.pairs, not arguments.kept)
     pictures = _draw(results, shown(seeds[0], arguments.pairs), arguments.figures, arguments.page)
     if arguments.page is not None:
         from benchmarks.papers._vio_page import write
@@ -77,9 +88,8 @@ def _command(seeds: range, pairs: int) -> str:
     """What made the page."""
     first = f" --first-seed {seeds[0]}" if seeds[0] else ""
     some = "" if pairs == 40 else f" --pairs {pairs}"
-    return (
-        f"python -m benchmarks.papers.roadheader_vio --seeds {len(seeds)}{first}{some} --page docs/papers/roadheader-vio.md"
-    )
+    made = f"python -m benchmarks.papers.roadheader_vio --seeds {len(seeds)}{first}{some}"
+    return f"{made} --page docs/papers/roadheader-vio.md"
 
 
 if __name__ == "__main__":
