@@ -27,7 +27,7 @@ The paper on a roadheader's visual-inertial odometry with image enhancement, SIN
 table 6 and figures 8, 9 and 14. Its experiment is real, one drive along a simulated roadway, and its recordings are not
 published. Here the scenario `roadheader-stereo` stands for it: the roadway, the camera and the times of the turns are
 the paper's, the grade of the IMU is chosen near its table 5, and the images are rendered, dark, unevenly lit and dusty
-(docs/roadheader.md). Nothing goes from the truth to a method: features are found in the images.
+([the simulator](../roadheader.md)). Nothing goes from the truth to a method: features are found in the images.
 """
 
 
