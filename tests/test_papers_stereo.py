@@ -19,6 +19,7 @@ from benchmarks.papers._vio_kept import keep, kept
 from benchmarks.papers._vio_logs import log_of
 from benchmarks.papers._vio_page import write
 from benchmarks.papers._vio_rows import Results, all_rows, asked, largest, mean
+from benchmarks.papers.roadheader_vio import main
 from factors import so3
 from graphnav.log import SensorLog
 from graphnav.simulation.roadheader import simulate_roadheader
@@ -159,6 +160,13 @@ def test_outcomes_are_kept_for_the_same_sources(tmp_path: Path, monkeypatch: pyt
     assert kept(1, tmp_path) is None
     monkeypatch.setattr("benchmarks.papers._vio_kept.sources_id", lambda *folders: "others")
     assert kept(0, tmp_path) is None
+
+
+def test_no_page_is_made_of_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, said in ((["--no-runs"], "no outcomes of these sources"), (["--seeds", "0"], "at least 1")):
+        with pytest.raises(SystemExit):
+            main([*arguments, "--logs", str(tmp_path)])
+        assert said in capsys.readouterr().err
 
 
 def test_page_and_pictures_are_of_these_runs(found: Found, tmp_path: Path) -> None:

@@ -34,7 +34,8 @@ the paper's, the grade of the IMU is chosen near its table 5, and the images are
 def source(results: Results, command: str, before: Before) -> str:
     """How the page was made."""
     seeds = sorted(one.seed for one in results.found)
-    some = f"medians of {len(seeds)} seeds" if len(seeds) > 1 else f"of seed {seeds[0]} alone"
+    named = ", ".join(str(seed) for seed in seeds)
+    some = f"medians of {len(seeds)} seeds ({named})" if len(seeds) > 1 else f"of seed {seeds[0]} alone"
     return f"""
 This page is written by
 

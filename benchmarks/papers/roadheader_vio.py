@@ -20,6 +20,8 @@ from benchmarks.papers._vio_kept import keep, kept
 from benchmarks.papers._vio_logs import default_folder, log_of
 from benchmarks.papers._vio_rows import Results, all_rows
 
+PAIRS = 40
+
 
 def measure(seeds: Sequence[int], folder: Path, pairs: int, again: bool) -> Results:
     """All seeds, one after the other: the front end has both cores, then all else is timed in this process.
@@ -57,21 +59,28 @@ def main(argv: list[str] | None = None) -> None:
     args = parser(__doc__)
     args.add_argument("--seeds", type=int, default=5, help="number of seeds")
     args.add_argument("--first-seed", type=int, default=0)
-    args.add_argument("--pairs", type=int, default=40, help="pairs of frames of each seed whose features are matched")
+    args.add_argument(
+        "--pairs", type=int, default=PAIRS, help="pairs of frames of each seed whose features are matched"
+    )
     args.add_argument("--logs", type=Path, default=default_folder(), help="folder of kept logs (default %(default)s)")
     args.add_argument("--kept", action="store_true", help="take what an earlier run of the same sources has left there")
+    args.add_argument("--no-runs", action="store_true", help="make do with the seeds of which there are such outcomes")
     args.add_argument("--page", type=Path, help="write the page, such as docs/papers/roadheader-vio.md")
     args.add_argument("--figures", type=Path, help="folder of the pictures (default: beside the page, named as it is)")
     arguments, before = args.parse_args(argv), Before.now()
     if arguments.seeds < 1 or arguments.pairs < 1:
         args.error("--seeds and --pairs need at least 1")
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-    results = measure(seeds, arguments.logs, arguments.pairs, not arguments.kept)
+    seeds = list(range(arguments.first_seed, arguments.first_seed + arguments.seeds))
+    if arguments.no_runs:
+        seeds = [seed for seed in seeds if kept(seed, arguments.logs) is not None]
+    if not seeds:
+        args.error(f"--no-runs: no outcomes of these sources in {arguments.logs}")
+    results = measure(seeds, arguments.logs, arguments.pairs, not (arguments.kept or arguments.no_runs))
     pictures = _draw(results, shown(seeds[0], arguments.pairs), arguments.figures, arguments.page)
     if arguments.page is not None:
         from benchmarks.papers._vio_page import write
 
-        write(arguments.page, results, pictures, _command(seeds, arguments.pairs), before)
+        write(arguments.page, results, pictures, _command(arguments), before)
     publish(all_rows(results), arguments.json, before)
 
 
@@ -84,11 +93,13 @@ def _draw(results: Results, pair: dict[str, Shown], folder: Path | None, page: P
     return draw(results, pair, folder or (page or Path()).with_suffix(""))
 
 
-def _command(seeds: range, pairs: int) -> str:
+def _command(arguments: object) -> str:
     """What made the page."""
-    first = f" --first-seed {seeds[0]}" if seeds[0] else ""
-    some = "" if pairs == 40 else f" --pairs {pairs}"
-    made = f"python -m benchmarks.papers.roadheader_vio --seeds {len(seeds)}{first}{some}"
+    known = vars(arguments)
+    made = f"python -m benchmarks.papers.roadheader_vio --seeds {known['seeds']}"
+    made += f" --first-seed {known['first_seed']}" if known["first_seed"] else ""
+    made += f" --pairs {known['pairs']}" if known["pairs"] != PAIRS else ""
+    made += "".join(f" --{name.replace('_', '-')}" for name in ("kept", "no_runs") if known[name])
     return f"{made} --page docs/papers/roadheader-vio.md"
 
 
