@@ -112,10 +112,18 @@ class TrackFamily:
                 linear.push_back(gtsam.JacobianFactor(x, by[0][k], p, by[1][k], -error[k], unit))
             else:
                 linear.push_back(gtsam.JacobianFactor(x, by[0][k], p, by[1][k], m, by[2][k], -error[k], unit))
+        for p in self._lost(by[1]):  # held where it is: without a row of its own the system has no solution
+            linear.push_back(gtsam.JacobianFactor(p, np.eye(_ROWS), np.zeros(_ROWS), unit))
         # a row of no variable's makes the linear graph's error that of the loss
         rest = np.array([np.sqrt(max(excess, 0.0))])
         held = int(self.pose_key[0])
         linear.push_back(gtsam.JacobianFactor(held, np.zeros((1, 6)), rest, gtsam.noiseModel.Unit.Create(1)))
+
+    def _lost(self, by_point: Array) -> list[int]:
+        """Keys of points behind every camera that has seen them: no reading says where to."""
+        told = self.point_key[by_point.any(axis=(1, 2))]
+        lost: list[int] = np.setdiff1d(self.point_key, told).tolist()
+        return lost
 
 
 def _times(matrix: Array, vectors: Array) -> Array:

@@ -99,6 +99,21 @@ def test_a_point_behind_the_camera_pulls_nothing() -> None:
     assert by[0][1].any()
 
 
+def test_a_point_behind_all_cameras_stays_where_it_is() -> None:
+    """Without a row of its own it would leave the whole system without a solution."""
+    family, values = world(4, False)
+    values.update(P(0), values.atPose3(X(0)).transformFrom(family.pos_bc - family.rotation_bc @ [0.0, 0.0, 5.0]))
+    _, by = family.residuals(values)
+    assert not by[1][[0, 3]].any()
+    linear = gtsam.GaussianFactorGraph()
+    family.linearize_into(linear, values)
+    for i in range(2):  # and the poses are known
+        linear.push_back(gtsam.JacobianFactor(X(i), 1e3 * np.eye(6), np.zeros(6), gtsam.noiseModel.Unit.Create(6)))
+    step = linear.optimize()
+    assert np.abs(step.at(P(0))).max() < 1e-12
+    assert np.abs(step.at(P(1))).max() > 1e-6
+
+
 def test_some_of_them() -> None:
     family, values = world(5, True)
     rows = np.array([0, 4])
