@@ -19,6 +19,8 @@ from graphnav.log import RelativePose, SensorLog
 SAME_S = 1e-3
 #: A regular keyframe this close to a measurement's, in intervals, is left out.
 _NEAR = 0.3
+#: Frames of tracked features that no motions chose are keyframes where they are this far apart, s.
+_VIEW_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ def run_frontend(
     rest_s : (K, 2) spans at rest where they are known already; None finds them.
     guide : motions of the camera between frames that become keyframes.
     """
-    start, end = _record(log)
+    start, end = _record(log, guide)
     cycles = find_cycles(log)
     use_path = config.closed_path.form != "off" and log.odometer is not None
     closed = closed_path_points(log, cycles, config.closed_path.interval_m) if use_path else ()
@@ -79,6 +81,8 @@ def run_frontend(
         wanted += log.relative_pose.t_from_s.tolist() + log.relative_pose.t_to_s.tolist()
     if guide is not None:
         wanted += guide.t_from_s.tolist() + guide.t_to_s.tolist()
+    elif log.stereo_tracks is not None and log.stereo is not None and config.stereo.form == "tight":
+        wanted += _apart(np.unique(log.stereo_tracks.t_s), _VIEW_S).tolist()
     ranging = () if log.uwb is None or not config.uwb.use else ranging_spans(log.uwb, start, end)
     if log.uwb is not None:
         wanted += ranging_keyframes(log.uwb, ranging, config.keyframes.interval_s).tolist()
@@ -88,12 +92,13 @@ def run_frontend(
     return Frontend(times, cycles, closed, np.asarray(rest, float).reshape(-1, 2), fixes, ranging, guide)
 
 
-def _record(log: SensorLog) -> tuple[float, float]:
-    """Start and end of what carries the state: the IMU, or relative poses where there is none."""
+def _record(log: SensorLog, guide: RelativePose | None) -> tuple[float, float]:
+    """Start and end of what carries the state: the IMU, or relative poses, or motions that guide where there are none."""
     if log.imu is not None:
         return log.imu.start_s, float(log.imu.t_s[-1])
-    if log.relative_pose is not None:
-        return float(log.relative_pose.t_from_s[0]), float(log.relative_pose.t_to_s[-1])
+    poses = guide if log.relative_pose is None else log.relative_pose
+    if poses is not None:
+        return float(poses.t_from_s[0]), float(poses.t_to_s[-1])
     fix = "smoothing needs an IMU, or relative poses that follow each other"
     raise LogError("no imu table and no relative_pose table", where=f"log {log.name}", fix=fix)
 
@@ -118,11 +123,11 @@ def place_keyframes(start_s: float, end_s: float, wanted_s: Array, config: Confi
     return _divided(times, np.where(shares > 1 + _NEAR, np.ceil(shares), 1).astype(int))
 
 
-def _apart(times: Array) -> Array:
-    """Ascending times without those less than a millisecond after the last one kept."""
+def _apart(times: Array, least_s: float = SAME_S) -> Array:
+    """Ascending times without those less than a millisecond (or as given) after the last one kept."""
     kept: list[float] = []
     for t in times.tolist():
-        if not kept or t - kept[-1] > SAME_S:
+        if not kept or t - kept[-1] > least_s:
             kept.append(t)
     return np.array(kept)
 
