@@ -93,7 +93,7 @@ def run_frontend(
 
 
 def _record(log: SensorLog, guide: RelativePose | None) -> tuple[float, float]:
-    """Start and end of what carries the state: the IMU, or relative poses, or motions that guide where there are none."""
+    """Start and end of what carries the state: the IMU, or else relative poses, or else motions that guide."""
     if log.imu is not None:
         return log.imu.start_s, float(log.imu.t_s[-1])
     poses = guide if log.relative_pose is None else log.relative_pose
