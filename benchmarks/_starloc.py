@@ -23,9 +23,14 @@ GRAPH = Target(high=0.12)
 FILTER_HEADING_DEG = 10.0
 
 
+def data_folder() -> Path:
+    """Where recordings are looked for."""
+    return Path(os.environ.get("GRAPHNAV_DATA") or ROOT.parent / "shared" / "data")
+
+
 def folder() -> Path:
-    """Where the recordings are looked for."""
-    return Path(os.environ.get("GRAPHNAV_DATA") or ROOT.parent / "shared" / "data") / DATA
+    """And those of this file."""
+    return data_folder() / DATA
 
 
 def rows() -> list[Row]:
@@ -48,7 +53,10 @@ def recording_rows(source: Path) -> list[Row]:
     found = []
     for method in ("uwb", "uwb-vbukf", "imu-uwb", "imu-uwb-vbukf"):
         found += judged(f"{name}, {method}", headed, method)
-    found += judged(f"{name}, batch", log, target=GRAPH)
+    without = judged(f"{name}, batch", log, target=GRAPH)
+    found += without
+    bound = None if without[0].value is None else Target(high=without[0].value)
+    found += judged(f"{name}, batch, stereo", starloc.convert(source, stereo=True), target=bound)
     for what, other in others(log).items():
         found += judged(f"{name}, batch, {what}", other)[:1]
     return found + error_rows(name, log)

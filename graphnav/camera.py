@@ -57,4 +57,5 @@ def camera_readings(problem: Problem) -> Camera | None:
     ------
     LogError : a motion that takes no time, or whose covariance is none; by row.
     """
-    return Camera(motion_readings(problem), track_readings(problem)) if uses_camera(problem) else None
+    found = Camera(motion_readings(problem), track_readings(problem)) if uses_camera(problem) else None
+    return None if found is None or (found.motions is None and found.tracks is None) else found

@@ -10,6 +10,7 @@ from factors.noise import diagonal
 from factors.so3 import Array
 from graphnav.log import Stereo
 from graphnav.problem import E
+from graphnav.run import CAMERA_NAMES
 
 if TYPE_CHECKING:
     import gtsam
@@ -27,6 +28,11 @@ def camera_sigmas(stereo: Stereo) -> Array:
 def camera_unknown(stereo: Stereo | None) -> bool:
     """Whether anything of it is to be estimated; zero sigma: known."""
     return stereo is not None and bool((camera_sigmas(stereo) > 0).any())
+
+
+def camera_known(stereo: Stereo) -> list[str]:
+    """What is declared to be without error, by the names of the calibration."""
+    return [name for (name, _, _), sigma in zip(CAMERA_NAMES, camera_sigmas(stereo), strict=True) if not sigma]
 
 
 def camera_prior(stereo: Stereo) -> gtsam.NonlinearFactor:

@@ -13,6 +13,7 @@ from graphnav._memory import peak_bytes
 from graphnav._stages import Stages
 from graphnav.agreement import agreeing_camera, agreeing_ranges
 from graphnav.camera import Camera
+from graphnav.camera_errors import camera_known
 from graphnav.camera_outcome import left_out_counts
 from graphnav.chain_graph import (
     chain_graph,
@@ -28,8 +29,8 @@ from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.markov_errors import slots
-from graphnav.problem import SIZES, A, D, X
-from graphnav.run import LIDAR_NAMES, Calibration, Diagnostics, Run
+from graphnav.problem import SIZES, A, D, E, X
+from graphnav.run import CAMERA_NAMES, LIDAR_NAMES, Calibration, Diagnostics, Run
 from graphnav.sighted import Sighted
 from graphnav.solvers import batch
 from graphnav.solvers.covariance import joint_marginals
@@ -107,18 +108,17 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
     with stages.stage("covariance") as tick:
         blocks = _covariances(problem, result, tick) if config.covariance else None
     trajectory = _trajectory(problem, result.values, blocks)
-    calibration = {**_calibration(result.values, blocks), **anchor_calibration(problem, result.values, blocks)}
+    calibration = {**_calibration(problem, result.values, blocks), **anchor_calibration(problem, result.values, blocks)}
     return Run(trajectory, calibration, _diagnostics(problem, "batch", stages, result.iterations, rejected), config)
 
 
 def _covariances(
     problem: ChainProblem, result: batch.BatchResult, progress: Callable[[float, float], None] | None
 ) -> dict[int, Array]:
-    """Joint covariance of every keyframe with its neighbour, and of scanner and anchors."""
+    """Joint covariance of every keyframe with its neighbour, and of scanner, camera and anchors."""
     neighbours = _neighbours(len(problem.keyframe_s)).tolist()
     groups: dict[int, tuple[int, ...]] = {X(i): (X(i), X(j)) for i, j in enumerate(neighbours)}
-    if result.values.exists(D(0)):
-        groups[D(0)] = (D(0),)
+    groups |= {key: (key,) for key in (D(0), E(0)) if result.values.exists(key)}
     groups |= {A(a): (A(a),) for a in heard(problem, result.values)}
     if result.values.exists(SCALE):
         groups[SCALE] = (SCALE,)
@@ -150,16 +150,23 @@ def _trajectory(problem: ChainProblem, values: gtsam.Values, blocks: dict[int, A
     return Trajectory(t_s, pos, to_quaternion(rotation), mean_velocity(pos, t_s), cov, problem.chain)
 
 
-def _calibration(values: gtsam.Values, blocks: dict[int, Array] | None) -> dict[str, Calibration]:
-    """The scanner's, where there are legs."""
-    if not values.exists(D(0)):
-        return {}
-    value = values.atVector(D(0)).tolist()
-    sigma = [None] * len(value) if blocks is None else np.sqrt(np.diag(blocks[D(0)])).tolist()
-    return {
-        name: Calibration(v / size, None if s is None else s / size, unit)
-        for (name, size, unit), v, s in zip(LIDAR_NAMES, value, sigma, strict=True)
-    }
+def _calibration(
+    problem: ChainProblem, values: gtsam.Values, blocks: dict[int, Array] | None
+) -> dict[str, Calibration]:
+    """The scanner's, where there are legs, and the camera's, where anything of it is unknown."""
+    found = {}
+    for key, names in ((D(0), LIDAR_NAMES), (E(0), CAMERA_NAMES)):
+        if values.exists(key):
+            value = values.atVector(key).tolist()
+            sigma = [None] * len(value) if blocks is None else np.sqrt(np.diag(blocks[key])).tolist()
+            found |= {
+                name: Calibration(v / size, None if s is None else s / size, unit)
+                for (name, size, unit), v, s in zip(names, value, sigma, strict=True)
+            }
+    if problem.log.stereo is not None:
+        for name in camera_known(problem.log.stereo):
+            found.pop(name, None)
+    return found
 
 
 def _diagnostics(

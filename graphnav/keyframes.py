@@ -19,6 +19,8 @@ from graphnav.log import RelativePose, SensorLog
 SAME_S = 1e-3
 #: A regular keyframe this close to a measurement's, in intervals, is left out.
 _NEAR = 0.3
+#: Frames of tracked features that no motions chose are keyframes where they are this far apart, s.
+_VIEW_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,8 @@ def run_frontend(
         wanted += log.relative_pose.t_from_s.tolist() + log.relative_pose.t_to_s.tolist()
     if guide is not None:
         wanted += guide.t_from_s.tolist() + guide.t_to_s.tolist()
+    elif log.stereo_tracks is not None and log.stereo is not None and config.stereo.form == "tight":
+        wanted += _apart(np.unique(log.stereo_tracks.t_s), _VIEW_S).tolist()
     ranging = () if log.uwb is None or not config.uwb.use else ranging_spans(log.uwb, start, end)
     if log.uwb is not None:
         wanted += ranging_keyframes(log.uwb, ranging, config.keyframes.interval_s).tolist()
@@ -89,7 +93,7 @@ def run_frontend(
 
 
 def _record(log: SensorLog, guide: RelativePose | None) -> tuple[float, float]:
-    """Start and end of what carries the state: the IMU, or the camera's motions where there is none."""
+    """Start and end of what carries the state: the IMU, or else relative poses, or else motions that guide."""
     if log.imu is not None:
         return log.imu.start_s, float(log.imu.t_s[-1])
     poses = guide if log.relative_pose is None else log.relative_pose
@@ -119,11 +123,11 @@ def place_keyframes(start_s: float, end_s: float, wanted_s: Array, config: Confi
     return _divided(times, np.where(shares > 1 + _NEAR, np.ceil(shares), 1).astype(int))
 
 
-def _apart(times: Array) -> Array:
-    """Ascending times without those less than a millisecond after the last one kept."""
+def _apart(times: Array, least_s: float = SAME_S) -> Array:
+    """Ascending times without those less than a millisecond (or as given) after the last one kept."""
     kept: list[float] = []
     for t in times.tolist():
-        if not kept or t - kept[-1] > SAME_S:
+        if not kept or t - kept[-1] > least_s:
             kept.append(t)
     return np.array(kept)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors.so3 import Array, to_quaternion
-from graphnav.camera_errors import camera_sigmas
+from graphnav.camera_errors import camera_known
 from graphnav.keyframes import SAME_S
 from graphnav.leg_priors import lidar_sigmas
 from graphnav.legs import LegReadings
@@ -162,9 +162,8 @@ def calibration(problem: Problem, values: gtsam.Values, blocks: dict[int, Array]
     if values.exists(E(0)):
         assert problem.log.stereo is not None
         put(E(0), values.atVector(E(0)), CAMERA_NAMES)
-        for (name, _, _), sigma in zip(CAMERA_NAMES, camera_sigmas(problem.log.stereo), strict=True):
-            if not sigma:
-                del found[name]
+        for name in camera_known(problem.log.stereo):
+            del found[name]
     for c in creep_cycles(problem):
         put(K(c), values.atVector(K(c)), [(f"creep_after_cycle_{c}", 1.0, "m")])
     return found

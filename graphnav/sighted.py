@@ -89,7 +89,7 @@ def _moved(log: SensorLog, config: Config, notes: tuple[str, ...], progress: Pro
                 f"the camera tells no motion at all ({found.failures[0].reason if found.failures else 'one frame'})",
                 where=f"log {log.name}", fix="check [stereo] and the images",
             )  # fmt: skip
-        return Sighted(replace(log, stereo_tracks=None), None, (*notes, "the camera tells no motion, and is not used"))
+        return _motionless(log, config, notes)
     if config.stereo.form == "tight":
         return Sighted(log, found.poses, notes)
     if log.relative_pose is not None:
@@ -98,3 +98,10 @@ def _moved(log: SensorLog, config: Config, notes: tuple[str, ...], progress: Pro
             (*notes, "the tracked features are not used: with stereo.form = \"loose\" the relative poses given count"),
         )  # fmt: skip
     return Sighted(replace(log, relative_pose=found.poses, stereo_tracks=None), None, notes)
+
+
+def _motionless(log: SensorLog, config: Config, notes: tuple[str, ...]) -> Sighted:
+    """The log where features are too few for a motion: beside an IMU each of them still says something of its own."""
+    if config.stereo.form == "tight":
+        return Sighted(log, None, (*notes, "the camera alone tells no motion: its features are points of the graph"))
+    return Sighted(replace(log, stereo_tracks=None), None, (*notes, "the camera tells no motion, and is not used"))

@@ -83,7 +83,7 @@ def uses_tracks(problem: Problem | ChainProblem) -> bool:
 
 
 def track_readings(problem: Problem | ChainProblem) -> TrackReadings | None:
-    """The readings from keyframes of all features seen from two keyframes or more."""
+    """The readings from keyframes of all features seen from two keyframes or more; None where there are none."""
     tracks, stereo, t_s = problem.log.stereo_tracks, problem.log.stereo, problem.keyframe_s
     if tracks is None or stereo is None or not uses_tracks(problem):
         return None
@@ -99,7 +99,8 @@ def track_readings(problem: Problem | ChainProblem) -> TrackReadings | None:
         camera_of(stereo),
         *camera_mounting(stereo),
     )
-    return _seen_twice(TrackReadings(rows, family))
+    readings = _seen_twice(TrackReadings(rows, family))
+    return readings if len(readings.row) else None
 
 
 def _seen_twice(readings: TrackReadings) -> TrackReadings:

@@ -8,6 +8,7 @@
   cameras take 10 a second, so a pair's time is a tenth of its number.
 - *Poses* (``VO_camera_poses00.txt``) are **no reference** but a visual odometry of these very features, so the log has
   no truth; `estimated_poses` gives them for comparison.
+- *Start*: the first pair is the origin, with the body's axes for east, north, up.
 
 Declared: 0.5 px for a feature's column or row.
 """
@@ -20,12 +21,14 @@ import numpy as np
 
 from factors.so3 import Array
 from graphnav.errors import LogError
-from graphnav.log import Frames, SensorLog, Stereo, StereoTracks
+from graphnav.log import Frames, InitialState, SensorLog, Stereo, StereoTracks
 
 TRACK_FILE, POSE_FILE, CAMERA_FILE = "VO_stereo_factors00.txt", "VO_camera_poses00.txt", "VO_calibration00.txt"
 #: Pairs a second.
 _RATE_HZ = 10.0
 _SIGMA_PX = 0.5
+#: The first pose is the origin by definition; the speed of a car is not known.
+_POS_SIGMA_M, _ATT_SIGMA_DEG, _VEL_SIGMA_M_S = 1e-3, 1e-3, 20.0
 
 
 def convert(source: str | Path | None = None) -> SensorLog:
@@ -54,6 +57,14 @@ def convert(source: str | Path | None = None) -> SensorLog:
     return SensorLog(
         name="kitti-tracks",
         frames=Frames(latitude_deg=49.0, longitude_deg=8.4, height_m=115.0),  # Karlsruhe; of no effect without an IMU
+        initial=InitialState(
+            pos_n_m=np.zeros(3),
+            pos_sigma_m=np.full(3, _POS_SIGMA_M),
+            quat_nb_wxyz=np.array([1.0, 0.0, 0.0, 0.0]),
+            att_sigma_deg=np.full(3, _ATT_SIGMA_DEG),
+            vel_n_m_s=np.zeros(3),
+            vel_sigma_m_s=np.full(3, _VEL_SIGMA_M_S),
+        ),
         stereo=Stereo(fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, baseline_m=baseline, sigma_px=_SIGMA_PX),
         stereo_tracks=StereoTracks(
             t_s=rows[:, 0] / _RATE_HZ,
