@@ -154,7 +154,7 @@ def _calibration(
     problem: ChainProblem, values: gtsam.Values, blocks: dict[int, Array] | None
 ) -> dict[str, Calibration]:
     """The scanner's, where there are legs, and the camera's, where anything of it is unknown."""
-    found = {}
+    found: dict[str, Calibration] = {}
     for key, names in ((D(0), LIDAR_NAMES), (E(0), CAMERA_NAMES)):
         if values.exists(key):
             value = values.atVector(key).tolist()
