@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 _START, _NARROWER = 0.25, 4.0
 #: Joint sigmas at which a step of the narrowing is done, at which the last one is, and iterations at most.
 _ON_THE_WAY, _ROUGH_SIGMAS, _ITERATIONS = 30.0, 3.0, 10
-#: Iterations with all of them: with what is wrong among them that solution is a long way off, and soon left.
-_WITH_ALL = 4
+#: With all of them, wrong ones included, the error may creep: a step that lowers it by less than this share is the last.
+_LEAST_GAIN = 0.05
 
 
 def agreeing_ranges(graph: SmoothingGraph, config: UwbConfig, values: gtsam.Values) -> tuple[gtsam.Values, npt_bool]:
@@ -111,7 +111,7 @@ def _agreeing(
     values: gtsam.Values,
 ) -> tuple[gtsam.Values, npt_bool]:
     """The same for one family of the graph, given how the graph is with a loss on it."""
-    values = _roughly(graph, values, _ON_THE_WAY, _WITH_ALL)
+    values = _roughly(graph, values, _ON_THE_WAY, _LEAST_GAIN)
     off = family.off(values)
     scale = max(_START * float(off.max(initial=0.0)), rule.loss_sigmas)
     while off.max(initial=0.0) > rule.reject_sigmas and scale >= rule.loss_sigmas:
@@ -124,7 +124,13 @@ def _agreeing(
     return values, np.asarray(off <= rule.reject_sigmas)
 
 
-def _roughly(graph: SmoothingGraph, values: gtsam.Values, sigmas: float, iterations: int = _ITERATIONS) -> gtsam.Values:
+def _roughly(graph: SmoothingGraph, values: gtsam.Values, sigmas: float, least_gain: float = 0.0) -> gtsam.Values:
     return batch.solve(
-        graph, values, max_iterations=iterations, tolerance_sigma=sigmas, first=graph.chain, exact=False
+        graph,
+        values,
+        max_iterations=_ITERATIONS,
+        least_gain=least_gain,
+        tolerance_sigma=sigmas,
+        first=graph.chain,
+        exact=False,
     ).values

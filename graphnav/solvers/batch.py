@@ -72,6 +72,7 @@ def solve(
     tolerance_sigma: float = 0.01,
     first: list[int] | None = None,
     exact: bool = True,
+    least_gain: float = 0.0,
     progress: Callable[[float, float], None] | None = None,
 ) -> BatchResult:
     """Minimise the graph's error from the given values.
@@ -85,7 +86,8 @@ def solve(
     is at most `tolerance_sigma`: what is left is that small a part of one standard deviation. With `first` also after
     five steps in a row that each lower the error by next to nothing (`_FLAT`): the lean of a leg times an error of
     height is bilinear, and where neither is known, steps of half a sigma creep along a valley. A step that raises the
-    error is shortened, and where that does not help damped, until it lowers it.
+    error is shortened, and where that does not help damped, until it lowers it. Not `exact`, also after a step that
+    lowers the error by less than the share `least_gain`.
 
     Raises
     ------
@@ -125,7 +127,7 @@ def solve(
         values, error = moved, next_error
         if progress is not None:
             progress(len(iterations), max_iterations)
-        if converged:
+        if converged or (not exact and iterations[-1].error - error < least_gain * iterations[-1].error):
             break
         converged = bool(first) and flat == _FLAT_ITERATIONS
         if converged or len(iterations) == max_iterations:
