@@ -134,15 +134,16 @@ def why(results: Results) -> str:
 
 
 def _warned(results: Results) -> list[str]:
-    """What stereo odometry warned of, by seed: where it gives no motion, all but the tight graph go on by the IMU."""
+    """What stereo odometry warned of, by seed."""
     found = []
     for one in results.found:
         course = one.courses.get(LOOSE)
         notes = course.notes if isinstance(course, Course) else ()
         found += [f"seed {one.seed}: {note}" for note in notes if note.startswith("no motion")]
-    return [
-        f"- Stereo odometry warned of gaps, which all but the tight graph bridge by the IMU: {'; '.join(found)}."
-    ] * (len(found) > 0)
+    if not found:
+        return []
+    said = "Stereo odometry warned of gaps. It holds its pose there; all others but the tight graph, which has the"
+    return [f"- {said} features themselves, have the IMU alone ({'; '.join(found)})."]
 
 
 def why_consistency(results: Results) -> str:
