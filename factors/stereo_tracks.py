@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _ROWS = 3
 #: Nearest depth at which a reading is looked at: behind it an iteration has gone astray, and it does not count, m.
 _NEAREST_M = 0.05
+#: No step of a point is expected to be longer, m: with this sigma, and no error, it is held to where it is.
+_FARTHEST_M = 1e3
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,13 @@ class TrackFamily:
         """Length (K,) of each whitened error."""
         return np.asarray(np.linalg.norm(self.residuals(values)[0], axis=1))
 
+    def near(self, values: gtsam.Values) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Whether each reading's point (K,) is so near that its disparity is more than the error of one."""
+        pose, point = lookup.poses(values, self.pose_key), lookup.vectors(values, self.point_key)
+        point_b = _times(so3.transpose(pose[:, :3, :3]), point - pose[:, :3, 3])
+        depth = (point_b - self.pos_bc) @ self.rotation_bc[:, 2]
+        return np.asarray((depth > 0) & (depth * self.sigma_px < self.camera.fx_px * self.camera.baseline_m))
+
     def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> None:
         """Append the whitened Jacobian factors at `values`."""
         import gtsam
@@ -112,18 +121,14 @@ class TrackFamily:
                 linear.push_back(gtsam.JacobianFactor(x, by[0][k], p, by[1][k], -error[k], unit))
             else:
                 linear.push_back(gtsam.JacobianFactor(x, by[0][k], p, by[1][k], m, by[2][k], -error[k], unit))
-        for p in self._lost(by[1]):  # held where it is: without a row of its own the system has no solution
-            linear.push_back(gtsam.JacobianFactor(p, np.eye(_ROWS), np.zeros(_ROWS), unit))
+        # held where it is: a point behind all its cameras has no slope, and one that runs off to infinity next to none
+        still, nothing = np.eye(_ROWS) / _FARTHEST_M, np.zeros(_ROWS)
+        for p in np.unique(self.point_key).tolist():
+            linear.push_back(gtsam.JacobianFactor(p, still, nothing, unit))
         # a row of no variable's makes the linear graph's error that of the loss
         rest = np.array([np.sqrt(max(excess, 0.0))])
         held = int(self.pose_key[0])
         linear.push_back(gtsam.JacobianFactor(held, np.zeros((1, 6)), rest, gtsam.noiseModel.Unit.Create(1)))
-
-    def _lost(self, by_point: Array) -> list[int]:
-        """Keys of points behind every camera that has seen them: no reading says where to."""
-        told = self.point_key[by_point.any(axis=(1, 2))]
-        lost: list[int] = np.setdiff1d(self.point_key, told).tolist()
-        return lost
 
 
 def _times(matrix: Array, vectors: Array) -> Array:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _START, _NARROWER = 0.25, 4.0
 #: Joint sigmas at which a step of the narrowing is done, at which the last one is, and iterations at most.
 _ON_THE_WAY, _ROUGH_SIGMAS, _ITERATIONS = 30.0, 3.0, 10
-#: With all of them, wrong ones included, the error may creep: a step that lowers it by less than this share is the last.
+#: With all of them, wrong ones included, the error may creep: a step that lowers it by less than this share ends it.
 _LEAST_GAIN = 0.05
 
 
@@ -77,6 +77,7 @@ def agreeing_camera(
             graph, by_tracks, lambda loss, scale: replace(graph, tracks=replace(by_tracks, loss=loss, scale=scale)),
             _Rule.of(config.stereo, by_tracks.size), values,
         )  # fmt: skip
+        fit &= by_tracks.near(values)
         left_out, tracks = replace(left_out, tracks=tracks.without(fit)), tracks.only(fit)
         tracks.prune(values)
     return values, Camera(motions, tracks), left_out
