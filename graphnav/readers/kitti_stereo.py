@@ -4,8 +4,8 @@ Expected are the folders ``image_l`` and ``image_r`` (grey PNG of the same names
 matrices of the left and the right camera, 3 x 4) and ``poses.txt`` (the left camera's pose in its first frame, 3 x 4).
 
 Declared: 0.5 px for a feature's column or row, and 0.2 px for what all disparities have in common: calibrated with a
-chequerboard, the angle between two cameras is known to some hundredths of a degree, and 0.016 deg are 0.2 px. No
-reference was looked at for that; the smoother estimates it.
+chequerboard, the angle between two cameras is known to some hundredths of a degree, and 0.016 deg are 0.2 px.
+(Errors against the reference had been seen before that was chosen.) The smoother estimates it.
 
 The first 13 poses are no measurement: their steps are one turn and one way, repeated (see docs/real-data.md).
 
