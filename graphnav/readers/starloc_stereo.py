@@ -10,8 +10,8 @@
   declared. A constant error of the clock is in it: clocks recovered in steps of 20 ms are off by 5.8 ms (1 sigma), and
   at the rates of these recordings (0.49 and 0.28 rad/s rms where tags are seen) that is 3.1 and 1.7 px.
 - *Mounting and disparity*: what a factory's calibration leaves of a hand-held pair is a degree against the rig and a
-  twentieth of a degree (1 px) between the cameras. (An error of the disparities of 1 px, against the reference, had been seen before.) The graph
-  estimates both.
+  twentieth of a degree (1 px) between the cameras. (An error of the disparities of 1 px, against the reference, had
+  been seen before.) The graph estimates both.
 
 The motion capture's places of the tags are in no log.
 """
