@@ -162,7 +162,7 @@ class StereoTracksConfig(_Section):
     """Features followed through image pairs, where the log has images and no tracks."""
 
     features: Literal["orb", "sift"] = "orb"
-    enhance: Literal["none", "clahe", "retinex-dust"] = Field("none", description="what is done to the images before")
+    enhance: Literal["none", "clahe", "retinex-dust"] = Field("clahe", description="what is done to the images before")
     follow: Literal["flow", "descriptors"] = Field(
         "flow", description="from frame to frame by the image around a feature, or by matching descriptors as the paper"
     )

@@ -13,7 +13,7 @@ from benchmarks._report import Before
 from benchmarks.papers import _vio_cases as cases
 from benchmarks.papers import _vio_features as features
 from benchmarks.papers import _vio_published as published
-from benchmarks.papers._vio_cases import CASES, CLAHE, GRAPH, Bounded, Course, Found
+from benchmarks.papers._vio_cases import CASES, GRAPH, RAW, Bounded, Course, Found
 from benchmarks.papers._vio_figures import draw
 from benchmarks.papers._vio_kept import keep, kept
 from benchmarks.papers._vio_logs import log_of
@@ -40,8 +40,8 @@ def short(seed: int) -> SensorLog:
 
 @pytest.fixture(scope="module")
 def found() -> Found:
-    """A short drive; the case with CLAHE fails, the others with enhanced images are left out."""
-    chosen = {name: CASES[name] for name in RUN} | {CLAHE: ("lidar-ekf", {})}
+    """A short drive; the case with raw images fails, the others with enhanced images are left out."""
+    chosen = {name: CASES[name] for name in RUN} | {RAW: ("lidar-ekf", {})}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cases, "CASES", chosen)
         one = cases.run_cases(3, short(3))
@@ -50,9 +50,9 @@ def found() -> Found:
 
 
 def test_every_method_runs_and_a_failure_has_a_row_that_says_why(found: Found) -> None:
-    assert {name for name, one in found.courses.items() if isinstance(one, str)} == {CLAHE}
+    assert {name for name, one in found.courses.items() if isinstance(one, str)} == {RAW}
     rows = {one.name: one for one in all_rows(Results((found,)))}
-    (failed,) = (name for name in rows if name.startswith(f"{CLAHE}: failed"))
+    (failed,) = (name for name in rows if name.startswith(f"{RAW}: failed"))
     assert "no lidar_points table" in failed
     assert "batch, enhanced: failed: not measured" in rows
 
@@ -179,7 +179,7 @@ def test_page_and_pictures_are_of_these_runs(found: Found, tmp_path: Path) -> No
     ours = results.median(GRAPH, largest)
     assert f"**{ours[2]:.4f}**" in text
     assert "the command" in text
-    assert "graph, tight, CLAHE failed: " in text
+    assert "graph, tight, raw images failed: " in text
     links = re.findall(r"\]\(([^)]+\.png)\)", text)
     assert len(links) == 6
     assert all((tmp_path / link).exists() for link in links)

@@ -12,10 +12,10 @@ from benchmarks.papers._judged import Array
 from benchmarks.papers._uwb_cases import angles_deg
 
 RELATIVE, LOOSE, GRAPH = "vio-kf, relative", "batch, loose", "batch"
-ENHANCED_FILTER, ENHANCED_LOOSE, CLAHE, ENHANCED = (
+ENHANCED_FILTER, ENHANCED_LOOSE, RAW, ENHANCED = (
     "vio-kf, enhanced",
     "batch, loose, enhanced",
-    "batch, CLAHE",
+    "batch, raw images",
     "batch, enhanced",
 )
 _ENHANCE: dict[str, Any] = {"stereo_tracks": {"enhance": "retinex-dust"}}
@@ -29,7 +29,7 @@ CASES: Mapping[str, tuple[str, dict[str, Any]]] = {
     LOOSE: ("batch", {"stereo": {"form": "loose"}}),
     ENHANCED_LOOSE: ("batch", {"stereo": {"form": "loose"}, **_ENHANCE}),
     GRAPH: ("batch", {}),
-    CLAHE: ("batch", {"stereo_tracks": {"enhance": "clahe"}}),
+    RAW: ("batch", {"stereo_tracks": {"enhance": "none"}}),
     ENHANCED: ("batch", _ENHANCE),
 }
 #: Columns of the attitude's covariance (right, forward, up) that belong to roll, yaw and pitch.

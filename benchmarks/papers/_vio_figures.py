@@ -29,7 +29,7 @@ NAMES = {
     LOOSE: "graph, loose",
     "batch, loose, enhanced": "graph, loose, enhanced images",
     GRAPH: "graph, tight (batch)",
-    "batch, CLAHE": "graph, tight, CLAHE",
+    "batch, raw images": "graph, tight, raw images",
     "batch, enhanced": "graph, tight, enhanced images",
 }
 _ENHANCED_COLOURS = {"none": "#808080", "clahe": _COLOURS[5], "retinex-dust": _COLOURS[0]}
@@ -116,12 +116,11 @@ def way(one: Found) -> Any:
     """The way seen from above, and what each method errs to the side of it."""
     figure, axes = _grid(2, 1, (8.5, 4.6), sharex=True)
     known = _known(one, tuple(_LINES))
-    course = next(iter(known.values()))
-    true = course.pose - course.error
+    true = next(iter(known.values())).pose - next(iter(known.values())).error
     for case, course in known.items():
         colour, width = _LINES[case]
         axes[0, 0].plot(course.pose[:, 1], course.pose[:, 0], color=colour, lw=width, label=NAMES[case])
-        axes[1, 0].plot(true[:, 1], 1e3 * course.error[:, 0], color=colour, lw=width)
+        axes[1, 0].plot((course.pose - course.error)[:, 1], 1e3 * course.error[:, 0], color=colour, lw=width)
     axes[0, 0].plot(true[:, 1], true[:, 0], color="black", lw=0.8, ls=(0, (4, 2)), label="truth")
     axes[0, 0].set_ylabel("x, to the right, m")
     axes[1, 0].set_ylabel("error in x, mm")

@@ -12,7 +12,7 @@ from benchmarks.papers import _vio_published as published
 from benchmarks.papers import _vio_text as text
 from benchmarks.papers._judged import Array
 from benchmarks.papers._page import filled, number, table
-from benchmarks.papers._vio_cases import CASES, CLAHE, ENHANCED, ENHANCED_FILTER, ENHANCED_LOOSE, GRAPH, LOOSE
+from benchmarks.papers._vio_cases import CASES, ENHANCED, ENHANCED_FILTER, ENHANCED_LOOSE, GRAPH, LOOSE, RAW
 from benchmarks.papers._vio_features import ENHANCERS
 from benchmarks.papers._vio_figures import NAMES
 from benchmarks.papers._vio_published import AXES, UNITS
@@ -80,7 +80,7 @@ class Page:
                              *(f"*{value}*" for value in cells(np.abs(paper[method])))])  # fmt: skip
             for case in CASES:
                 values = self.results.median(case, of)
-                if values is not None and case not in (CLAHE, ENHANCED, ENHANCED_FILTER, ENHANCED_LOOSE):
+                if values is not None and case not in (RAW, ENHANCED, ENHANCED_FILTER, ENHANCED_LOOSE):
                     rows.append([f"{name}, {NAMES[case]}", *cells(values)])
         failed = [f"\n\n{NAMES[case]} failed: {why}." for case in CASES if (why := self.results.failure(case))]
         return table(["", *(f"{a}, {u}" for a, u in zip(AXES, UNITS, strict=True))], rows) + "".join(failed)
@@ -114,7 +114,7 @@ class Page:
     def gain(self) -> str:
         """Accuracy with and without enhancement."""
         rows = []
-        for case in ("vio-kf", ENHANCED_FILTER, LOOSE, ENHANCED_LOOSE, GRAPH, CLAHE, ENHANCED):
+        for case in ("vio-kf", ENHANCED_FILTER, LOOSE, ENHANCED_LOOSE, GRAPH, RAW, ENHANCED):
             rms, most = self.results.median(case, rms_3d), self.results.median(case, largest)
             if rms is not None and most is not None:
                 rows.append([NAMES[case], f"{1e3 * float(rms):.1f}", *cells(most)])
