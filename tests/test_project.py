@@ -14,7 +14,7 @@ import pytest
 from tree import ROOT, printed
 
 PACKAGES = ("factors", "graphnav")
-HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich", "open3d"}
+HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich", "open3d", "cv2"}
 
 #: The floors, lowest first; a name is a module or a package with all that is in it.
 FLOORS = (

@@ -51,12 +51,6 @@ def aligned(points_from: Array, points_to: Array, weight: Array) -> tuple[Array,
     return rotation, centre_from - (rotation @ centre_to[..., None])[..., 0]
 
 
-def depth_weight(camera: StereoCamera, pixels: Array) -> Array:
-    """Weights (...,) of readings (..., 3): one over the variance of their depth, ``z^4``, up to a factor."""
-    _, rho = homogeneous(camera, pixels)
-    return np.asarray(rho**4)
-
-
 def near_enough(matches: Matches) -> Mask:
     """Points (N,) whose depth both pairs tell."""
     least = NEAR_SIGMAS * np.sqrt(2.0) * matches.sigma_px
@@ -64,14 +58,22 @@ def near_enough(matches: Matches) -> Mask:
 
 
 def consensus(
-    camera: StereoCamera, matches: Matches, inlier_sigmas: float, rng: np.random.Generator, least_share: float = 0.25
+    camera: StereoCamera,
+    matches: Matches,
+    inlier_sigmas: float,
+    rng: np.random.Generator,
+    least_share: float = 0.25,
+    far: bool = False,
 ) -> tuple[Array, Array, Mask] | None:
     """The motion that most points agree with, and those points; None when no sample can be drawn.
+
+    Samples are of points whose depth is told; with `far` of all, for a motion that is of interest even if it is hardly
+    more than a rotation.
 
     Stops when a sample without a wrong point would have been drawn by now, but for one time in ten thousand: either at
     the share of points that agree so far, or at the least share that is of interest.
     """
-    pool = np.flatnonzero(near_enough(matches))
+    pool = np.arange(len(matches)) if far else np.flatnonzero(near_enough(matches))
     if len(pool) < 3:
         return None
     judges = rng.permutation(len(matches))[:_JUDGES]
@@ -104,7 +106,9 @@ def _of_samples(camera: StereoCamera, matches: Matches, sample: Indices) -> tupl
     """Motions (M, 3, 3), (M, 3) of samples (M, 3) of points."""
     first, second = matches.first[sample], matches.second[sample]
     (m_from, rho_from), (m_to, rho_to) = homogeneous(camera, first), homogeneous(camera, second)
-    weight = 1 / (1 / depth_weight(camera, first) + 1 / depth_weight(camera, second))
+    least = matches.sigma_px / (camera.fx_px * camera.baseline_m)
+    rho_from, rho_to = np.maximum(rho_from, least), np.maximum(rho_to, least)
+    weight = 1 / (1 / rho_from**4 + 1 / rho_to**4)  # of the variance of the depths, z^4 up to a factor
     rotation, pos = aligned(m_from / rho_from[..., None], m_to / rho_to[..., None], weight)
     lens, axes = lens_of(camera), np.arange(6)
     for _ in range(_SAMPLE_STEPS):

@@ -36,8 +36,6 @@ _STEP_SIGMAS = 1e-2
 _SOFT_STEP_SIGMAS = 0.3
 _REGATED = 3
 _STEPS = 25
-#: Errors may be this many times the declared ones before points are given up for wrong.
-_LARGEST_SCALE = 2.0
 #: Draws of noise for the seeming part, each used with both signs.
 _DRAWS = 2
 
@@ -116,13 +114,6 @@ def gate(sigmas: float) -> float:
     return float(chi2.isf(2 * norm.sf(sigmas), FREEDOM))
 
 
-@lru_cache
-def _median() -> float:
-    from scipy.stats import chi2
-
-    return float(chi2.median(FREEDOM))
-
-
 def adjusted(
     camera: StereoCamera,
     matches: Matches,
@@ -134,6 +125,7 @@ def adjusted(
     """The motion of least squares, from a start near by.
 
     First with Geman-McClure weights, then with the points within the gate counting in full and the others not at all.
+    The gate is that of the declared noise: one that grew with the errors found would let two motions pass for one.
     """
     limit = gate(inlier_sigmas)
     found = _iterated(camera, matches, _State(rotation, pos_m, matches.first), None, limit, prior)
@@ -166,19 +158,18 @@ def _iterated(
     least = _STEP_SIGMAS if chosen is not None else _SOFT_STEP_SIGMAS
     for _ in range(_STEPS):
         terms = _terms(lens_of(camera), matches, rotation, pos_m, readings)
-        scaled = terms.squared / _scale(terms.squared, limit) ** 2
-        weight = 1 / (1 + scaled / limit) ** 2 if chosen is None else chosen.astype(float)
+        weight = 1 / (1 + terms.squared / limit) ** 2 if chosen is None else chosen.astype(float)
         information, gradient = _normal(terms, weight / matches.sigma_px**2)
         if prior is not None:
             information, gradient = _with_prior(information, gradient, rotation, prior)
         step = _solved(information, gradient)
-        readings = _points(matches, terms, step, scaled < 4 * limit)
+        readings = _points(matches, terms, step, terms.squared < 4 * limit)
         pos_m = pos_m + rotation @ step[3:]
         rotation = rotation @ so3.exp(step[:3])
         if converged := bool(step @ information @ step < least**2):
             break
     none = np.zeros((6, 6))
-    return Bundle(rotation, pos_m, information, none, readings, terms.squared, scaled < limit, converged)
+    return Bundle(rotation, pos_m, information, none, readings, terms.squared, terms.squared < limit, converged)
 
 
 class _Terms(NamedTuple):
@@ -233,14 +224,6 @@ def _points(matches: Matches, terms: _Terms, step: Array, near: Mask) -> Array:
     left = terms.error - terms.by_motion @ step
     change = (so3.transpose(terms.by_reading) @ (terms.weight @ left[..., None]))[..., 0]
     return np.asarray(np.where(near[:, None], matches.first + change, matches.first))
-
-
-def _scale(squared: Array, limit: float) -> float:
-    """Errors of the points near the gate as a multiple of the declared ones, from 1 to `_LARGEST_SCALE`."""
-    near = squared[squared < limit * _LARGEST_SCALE**2]
-    if not len(near):
-        return _LARGEST_SCALE
-    return float(np.clip(np.sqrt(np.median(near) / _median()), 1.0, _LARGEST_SCALE))
 
 
 def _seeming(camera: StereoCamera, matches: Matches, found: Bundle) -> Array:

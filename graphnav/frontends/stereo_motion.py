@@ -30,8 +30,8 @@ _TOLD = 1 / 3
 _SWAPPED = 0.5
 #: Fewest points within the gate of a sample of three for the bundle to start from it.
 _SEED = 6
-#: Errors this many times the declared ones are no noise.
-_LARGEST_SCALE = 2.0
+#: Errors this many times the declared ones, of points within the gate, are no noise.
+_LARGEST_SCALE = 1.6
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def _doubt(
         return f"the motion that {count} matches agree on does not converge"
     left = matches.only(~found.inlier)
     if len(left) >= max(settings.min_inliers, _RIVAL * count):
-        rival = consensus(camera, left, settings.inlier_sigmas, rng, _RIVAL * count / len(left))
+        rival = consensus(camera, left, settings.inlier_sigmas, rng, _RIVAL * count / len(left), far=True)
         agreed = 0 if rival is None else int(adjusted(camera, left, *rival[:2], settings.inlier_sigmas).inlier.sum())
         if agreed > _RIVAL * count:
             return f"two motions: {count} matches agree on one and {agreed} others on another"
