@@ -28,9 +28,13 @@ _LONGEST_STEP_PX = 2.0
 #: Smoothing before interpolation: bilinear values between pixels are less sharp than at pixels, which draws places
 #: towards whole pixels unless the image is smooth.
 _BLUR_PX = 0.9
+import os
+_WINDOW_PX = float(os.environ.get("W_WIN","100"))
+_RAMP=os.environ.get("W_RAMP","1")=="1"
 
 Floats = npt.NDArray[np.float32]
 Places = npt.NDArray[np.float64]
+Weights = npt.NDArray[np.float64]
 
 
 class Aligned(NamedTuple):
@@ -53,7 +57,7 @@ def patches(smooth: Floats, uv_px: Places) -> Floats:
     return out
 
 
-def aligned(template: Floats, smooth: Floats, start_px: Places, scale: Places, rows_fixed: bool = False) -> Aligned:
+def aligned(template: Floats, smooth: Floats, start_px: Places, warp: Places, rows_fixed: bool = False) -> Aligned:
     """Find patches near where they are expected.
 
     Parameters
@@ -61,13 +65,24 @@ def aligned(template: Floats, smooth: Floats, start_px: Places, scale: Places, r
     template : (N, P, P) from `patches`.
     smooth : the other image, from `smoothed`.
     start_px : (N, 2) expected places.
-    scale : (N,) how much larger the patches appear there.
+    warp : (N, 2, 2) where a step in the patch leads in the image.
     rows_fixed : look along the row alone (the other image of a rectified pair).
     """
     uv = np.array(start_px, np.float64, order="C")
     similarity = np.full(len(uv), -1.0)
-    _align_all(template, smooth, uv, np.ascontiguousarray(scale, np.float64), rows_fixed, similarity)
+    steps = np.ascontiguousarray(warp, np.float64)
+    _align_all(template, smooth, uv, steps, rows_fixed, _weights(template.shape[1] - 2), similarity)
     return Aligned(uv, similarity)
+
+
+def _weights(size: int) -> Weights:
+    """Weights of the pixels (row 0), and what brightness may add: 1, x, y, orthonormal under them; ``(4, M)``."""
+    y, x = (np.indices((size, size)).reshape(2, -1) - size // 2).astype(np.float64)
+    weight = np.exp(-0.5 * (x * x + y * y) / _WINDOW_PX**2)
+    terms = np.stack([np.ones_like(x), x, y])
+    terms /= np.sqrt((weight * terms**2).sum(axis=1, keepdims=True))
+    if not _RAMP: terms[1:]=0
+    return np.ascontiguousarray([weight, *terms])
 
 
 @compiled
@@ -94,8 +109,8 @@ def _sample_all(image: Floats, uv: Places, out: Floats) -> None:
 
 
 @compiled
-def _normal(template: Floats, basis: npt.NDArray[np.float64]) -> float:
-    """Fill `basis` (3, M): the patch less its mean and of unit length, its gradients less their share of it.
+def _normal(template: Floats, weight: Weights, basis: Weights) -> float:
+    """Fill `basis` (3, M): the patch less its ramp and of unit length, its gradients less their share of both.
 
     Returns the length that was divided by; zero for a patch without contrast.
     """
@@ -107,47 +122,66 @@ def _normal(template: Floats, basis: npt.NDArray[np.float64]) -> float:
             basis[1, m] = 0.5 * (template[i + 1, j + 2] - template[i + 1, j])
             basis[2, m] = 0.5 * (template[i + 2, j + 1] - template[i, j + 1])
     for r in range(3):
-        basis[r] -= basis[r].mean()
-    length: float = np.sqrt((basis[0] * basis[0]).sum())
+        for k in range(1, 4):
+            basis[r] -= weight[k] * (weight[0] * weight[k] * basis[r]).sum()
+    length: float = np.sqrt((weight[0] * basis[0] * basis[0]).sum())
     if length > 1e-6:
         basis[0] /= length
         for r in range(1, 3):
-            basis[r] -= basis[0] * (basis[0] * basis[r]).sum()
+            basis[r] -= basis[0] * (weight[0] * basis[0] * basis[r]).sum()
     return length
 
 
 @compiled
 def _align_all(
-    templates: Floats, image: Floats, uv: Places, scale: Places, rows_fixed: bool, similarity: Places
+    templates: Floats, image: Floats, uv: Places, warp: Places, rows_fixed: bool, weight: Weights, similarity: Places
 ) -> None:
     size = templates.shape[1] - 2
     basis, sums = np.empty((3, size * size)), np.empty(4)
     for k in range(len(uv)):
-        length = _normal(templates[k], basis)
+        length = _normal(templates[k], weight, basis)
         if length > 1e-6:
-            similarity[k] = _align(basis, length, image, uv[k], scale[k], rows_fixed, sums)
+            similarity[k] = _align(basis, length, image, uv[k], warp[k], rows_fixed, weight, sums)
 
 
 @compiled
 def _align(
-    basis: Places, length: float, image: Floats, uv: Places, scale: float, rows_fixed: bool, sums: Places
+    basis: Weights,
+    length: float,
+    image: Floats,
+    uv: Places,
+    warp: Places,
+    rows_fixed: bool,
+    weight: Weights,
+    sums: Places,
 ) -> float:
     """Move `uv` (2,) until the step is small; returns the correlation there, -1 where it got lost."""
-    a, b, c = (basis[1] * basis[1]).sum(), (basis[1] * basis[2]).sum(), (basis[2] * basis[2]).sum()
-    det = a if rows_fixed else a * c - b * b
+    a = (weight[0] * basis[1] * basis[1]).sum()
+    b = (weight[0] * basis[1] * basis[2]).sum()
+    c = (weight[0] * basis[2] * basis[2]).sum()
+    size = warp[0, 0] * warp[1, 1] - warp[0, 1] * warp[1, 0]
+    if size < 1e-3:
+        return -1.0
+    # a step along the row of the image, in the patch
+    ex, ey = warp[1, 1] / size, -warp[1, 0] / size
+    det = ex * ex * a + 2 * ex * ey * b + ey * ey * c if rows_fixed else a * c - b * b
     if det < 1e-9:
         return -1.0
     for _ in range(_ITERATIONS):
-        _look(image, uv, scale, basis, sums)
+        _look(image, uv, warp, basis, weight, sums)
         if sums[0] <= 0:
             return -1.0
         p, q = sums[1] * length / sums[0], sums[2] * length / sums[0]
-        dx = p / a if rows_fixed else (c * p - b * q) / det
-        dy = 0.0 if rows_fixed else (a * q - b * p) / det
+        if rows_fixed:
+            along = (ex * p + ey * q) / det
+            dx, dy = ex * along, ey * along
+        else:
+            dx, dy = (c * p - b * q) / det, (a * q - b * p) / det
         reach = max(abs(dx), abs(dy))
         shrunk = min(1.0, _LONGEST_STEP_PX / max(reach, 1e-12))
-        uv[0] -= scale * dx * shrunk
-        uv[1] -= scale * dy * shrunk
+        uv[0] -= (warp[0, 0] * dx + warp[0, 1] * dy) * shrunk
+        if not rows_fixed:
+            uv[1] -= (warp[1, 0] * dx + warp[1, 1] * dy) * shrunk
         if reach < _SMALL_STEP_PX:
             break
     correlation: float = sums[0] / sums[3]
@@ -155,22 +189,26 @@ def _align(
 
 
 @compiled
-def _look(image: Floats, uv: Places, scale: float, basis: Places, sums: Places) -> None:
-    """Products of the image around `uv` with the basis (three) and its length without its mean, into `sums` (4,).
+def _look(image: Floats, uv: Places, warp: Places, basis: Weights, weight: Weights, sums: Places) -> None:
+    """Products of the image around `uv` with the basis (three) and its length without its ramp, into `sums` (4,).
 
-    The basis has no mean, so that the image's need not be taken off for the products.
+    The basis has no ramp, so that the image's need not be taken off for the products.
     """
     size = int(np.sqrt(basis.shape[1]))
     half = size // 2
-    m, total, square, s0, s1, s2 = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    m, square, flat, right, down, s0, s1, s2 = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(size):
+        x, y = uv[0] + warp[0, 1] * (i - half), uv[1] + warp[1, 1] * (i - half)
         for j in range(size):
-            seen = _value(image, uv[0] + scale * (j - half), uv[1] + scale * (i - half))
-            total += seen
-            square += seen * seen
-            s0 += seen * basis[0, m]
-            s1 += seen * basis[1, m]
-            s2 += seen * basis[2, m]
+            seen = _value(image, x + warp[0, 0] * (j - half), y + warp[1, 0] * (j - half))
+            counted = weight[0, m] * seen
+            square += counted * seen
+            flat += counted * weight[1, m]
+            right += counted * weight[2, m]
+            down += counted * weight[3, m]
+            s0 += counted * basis[0, m]
+            s1 += counted * basis[1, m]
+            s2 += counted * basis[2, m]
             m += 1
     sums[0], sums[1], sums[2] = s0, s1, s2
-    sums[3] = np.sqrt(max(square - total * total / m, 1e-12))
+    sums[3] = np.sqrt(max(square - flat * flat - right * right - down * down, 1e-12))
