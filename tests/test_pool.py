@@ -17,7 +17,12 @@ def ran(script: str, folder: Path) -> subprocess.CompletedProcess[str]:
     path.write_text(script)
     root = Path(__file__).parents[1]
     return subprocess.run(
-        [sys.executable, str(path)], cwd=root, env={"PYTHONPATH": str(root)}, capture_output=True, text=True, timeout=100
+        [sys.executable, str(path)],
+        cwd=root,
+        env={"PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        timeout=100,
     )
 
 

@@ -1,9 +1,9 @@
 """Places of small patches in an image to a fraction of a pixel, whatever the brightness.
 
 A patch ``T`` around a feature's first sight is found in another image ``I`` by Gauss-Newton on
-``I(x + s p) = a T(p) + b`` over the pixels p of the patch: the shift x, with gain a and offset b removed by projection,
-for a headlight that moves with the camera brightens what it nears. `s` is how much larger the patch appears now. The
-gradients are the patch's own, so that they are computed once (inverse composition; Baker and Matthews 2004).
+``I(x + W p) = a T(p) + b + c . p`` over the pixels p of the patch: the shift x, with gain a, offset b and ramp c removed
+by projection, for a headlight that moves with the camera brightens what it nears, and its nearer half more. `W` is how
+much larger the patch appears now, and how it is turned and sheared. The gradients are the patch's own, so that they are computed once (inverse composition; Baker and Matthews 2004).
 
 A feature is always compared with its first sight and not with the frame before, so that errors do not add up along a
 track. What is common to all its places is a matter of which point of the wall is meant, and harmless.
@@ -28,9 +28,6 @@ _LONGEST_STEP_PX = 2.0
 #: Smoothing before interpolation: bilinear values between pixels are less sharp than at pixels, which draws places
 #: towards whole pixels unless the image is smooth.
 _BLUR_PX = 0.9
-import os
-_WINDOW_PX = float(os.environ.get("W_WIN","100"))
-_RAMP=os.environ.get("W_RAMP","1")=="1"
 
 Floats = npt.NDArray[np.float32]
 Places = npt.NDArray[np.float64]
@@ -71,18 +68,15 @@ def aligned(template: Floats, smooth: Floats, start_px: Places, warp: Places, ro
     uv = np.array(start_px, np.float64, order="C")
     similarity = np.full(len(uv), -1.0)
     steps = np.ascontiguousarray(warp, np.float64)
-    _align_all(template, smooth, uv, steps, rows_fixed, _weights(template.shape[1] - 2), similarity)
+    _align_all(template, smooth, uv, steps, rows_fixed, _ramps(template.shape[1] - 2), similarity)
     return Aligned(uv, similarity)
 
 
-def _weights(size: int) -> Weights:
-    """Weights of the pixels (row 0), and what brightness may add: 1, x, y, orthonormal under them; ``(4, M)``."""
+def _ramps(size: int) -> Weights:
+    """What brightness may add to a patch: 1, x, y at its pixels, orthonormal; ``(3, M)``."""
     y, x = (np.indices((size, size)).reshape(2, -1) - size // 2).astype(np.float64)
-    weight = np.exp(-0.5 * (x * x + y * y) / _WINDOW_PX**2)
     terms = np.stack([np.ones_like(x), x, y])
-    terms /= np.sqrt((weight * terms**2).sum(axis=1, keepdims=True))
-    if not _RAMP: terms[1:]=0
-    return np.ascontiguousarray([weight, *terms])
+    return np.ascontiguousarray(terms / np.sqrt((terms**2).sum(axis=1, keepdims=True)))
 
 
 @compiled
@@ -109,7 +103,7 @@ def _sample_all(image: Floats, uv: Places, out: Floats) -> None:
 
 
 @compiled
-def _normal(template: Floats, weight: Weights, basis: Weights) -> float:
+def _normal(template: Floats, ramps: Weights, basis: Weights) -> float:
     """Fill `basis` (3, M): the patch less its ramp and of unit length, its gradients less their share of both.
 
     Returns the length that was divided by; zero for a patch without contrast.
@@ -122,26 +116,26 @@ def _normal(template: Floats, weight: Weights, basis: Weights) -> float:
             basis[1, m] = 0.5 * (template[i + 1, j + 2] - template[i + 1, j])
             basis[2, m] = 0.5 * (template[i + 2, j + 1] - template[i, j + 1])
     for r in range(3):
-        for k in range(1, 4):
-            basis[r] -= weight[k] * (weight[0] * weight[k] * basis[r]).sum()
-    length: float = np.sqrt((weight[0] * basis[0] * basis[0]).sum())
+        for k in range(3):
+            basis[r] -= ramps[k] * (ramps[k] * basis[r]).sum()
+    length: float = np.sqrt((basis[0] * basis[0]).sum())
     if length > 1e-6:
         basis[0] /= length
         for r in range(1, 3):
-            basis[r] -= basis[0] * (weight[0] * basis[0] * basis[r]).sum()
+            basis[r] -= basis[0] * (basis[0] * basis[r]).sum()
     return length
 
 
 @compiled
 def _align_all(
-    templates: Floats, image: Floats, uv: Places, warp: Places, rows_fixed: bool, weight: Weights, similarity: Places
+    templates: Floats, image: Floats, uv: Places, warp: Places, rows_fixed: bool, ramps: Weights, similarity: Places
 ) -> None:
     size = templates.shape[1] - 2
     basis, sums = np.empty((3, size * size)), np.empty(4)
     for k in range(len(uv)):
-        length = _normal(templates[k], weight, basis)
+        length = _normal(templates[k], ramps, basis)
         if length > 1e-6:
-            similarity[k] = _align(basis, length, image, uv[k], warp[k], rows_fixed, weight, sums)
+            similarity[k] = _align(basis, length, image, uv[k], warp[k], rows_fixed, ramps, sums)
 
 
 @compiled
@@ -152,13 +146,13 @@ def _align(
     uv: Places,
     warp: Places,
     rows_fixed: bool,
-    weight: Weights,
+    ramps: Weights,
     sums: Places,
 ) -> float:
     """Move `uv` (2,) until the step is small; returns the correlation there, -1 where it got lost."""
-    a = (weight[0] * basis[1] * basis[1]).sum()
-    b = (weight[0] * basis[1] * basis[2]).sum()
-    c = (weight[0] * basis[2] * basis[2]).sum()
+    a = (basis[1] * basis[1]).sum()
+    b = (basis[1] * basis[2]).sum()
+    c = (basis[2] * basis[2]).sum()
     size = warp[0, 0] * warp[1, 1] - warp[0, 1] * warp[1, 0]
     if size < 1e-3:
         return -1.0
@@ -168,7 +162,7 @@ def _align(
     if det < 1e-9:
         return -1.0
     for _ in range(_ITERATIONS):
-        _look(image, uv, warp, basis, weight, sums)
+        _look(image, uv, warp, basis, ramps, sums)
         if sums[0] <= 0:
             return -1.0
         p, q = sums[1] * length / sums[0], sums[2] * length / sums[0]
@@ -189,7 +183,7 @@ def _align(
 
 
 @compiled
-def _look(image: Floats, uv: Places, warp: Places, basis: Weights, weight: Weights, sums: Places) -> None:
+def _look(image: Floats, uv: Places, warp: Places, basis: Weights, ramps: Weights, sums: Places) -> None:
     """Products of the image around `uv` with the basis (three) and its length without its ramp, into `sums` (4,).
 
     The basis has no ramp, so that the image's need not be taken off for the products.
@@ -201,14 +195,13 @@ def _look(image: Floats, uv: Places, warp: Places, basis: Weights, weight: Weigh
         x, y = uv[0] + warp[0, 1] * (i - half), uv[1] + warp[1, 1] * (i - half)
         for j in range(size):
             seen = _value(image, x + warp[0, 0] * (j - half), y + warp[1, 0] * (j - half))
-            counted = weight[0, m] * seen
-            square += counted * seen
-            flat += counted * weight[1, m]
-            right += counted * weight[2, m]
-            down += counted * weight[3, m]
-            s0 += counted * basis[0, m]
-            s1 += counted * basis[1, m]
-            s2 += counted * basis[2, m]
+            square += seen * seen
+            flat += seen * ramps[0, m]
+            right += seen * ramps[1, m]
+            down += seen * ramps[2, m]
+            s0 += seen * basis[0, m]
+            s1 += seen * basis[1, m]
+            s2 += seen * basis[2, m]
             m += 1
     sums[0], sums[1], sums[2] = s0, s1, s2
     sums[3] = np.sqrt(max(square - flat * flat - right * right - down * down, 1e-12))

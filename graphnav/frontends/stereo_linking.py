@@ -132,7 +132,8 @@ class Linker:
         number = np.arange(self._next, self._next + len(rows))
         self._next += len(rows)
         template = np.empty((len(rows), 0, 0), np.float32) if smooth is None else patches(smooth, uv)
-        wall = planes(self._camera, uv, uv[:, 0] - u_right, sides.slope[rows])
+        # as if square to the view: slopes from the neighbours' disparities made it worse, for features lie on edges
+        wall = planes(self._camera, uv, uv[:, 0] - u_right, np.zeros_like(uv))
         return TrackState(
             track=number,
             uv_px=uv,

@@ -18,9 +18,6 @@ from graphnav.frontends.image_pairs import PairFiles, SkippedFrame, read_pair
 from graphnav.frontends.patch_alignment import aligned, patches, smoothed
 from graphnav.frontends.stereo_features import Features, Places, detected
 from graphnav.frontends.stereo_matching import rectified_matches
-from graphnav.frontends.stereo_slopes import slopes
-import os
-from graphnav.frontends.stereo_warp import of_slope
 
 if TYPE_CHECKING:
     from graphnav.config import StereoTracksConfig
@@ -41,7 +38,6 @@ class Sides:
     left, right : the images, enhanced as configured.
     features : of the left image.
     u_right_px : (N,) their columns in the right image.
-    slope : (N, 2) change of disparity around them, px per px to the right and down.
     detected : number of features of the left image before matching.
     """
 
@@ -50,7 +46,6 @@ class Sides:
     right: Image
     features: Features
     u_right_px: Places
-    slope: Places
     detected: int
 
 
@@ -93,34 +88,25 @@ class PairWork:
         of_right = detected(right, settings.features, settings.max_features, spread=False)
         rows, others = rectified_matches(of_left, of_right, self.most_px)
         features, u_right = of_left.take(rows), of_right.uv_px[others, 0]
-        around = np.zeros((len(rows), 2))
         if settings.subpixel and len(rows):
-            u_right, around, good = self._refined(left, right, features.uv_px, u_right)
-            features, u_right, around = features.take(good), u_right[good], around[good]
+            u_right, good = self._refined(left, right, features.uv_px, u_right)
+            features, u_right = features.take(good), u_right[good]
         far = features.uv_px[:, 0] - u_right
         allowed = np.flatnonzero((far >= settings.min_disparity_px) & (far <= self.most_px))
-        found = Sides(t_s, left, right, features.take(allowed), u_right[allowed], around[allowed], len(of_left))
+        found = Sides(t_s, left, right, features.take(allowed), u_right[allowed], len(of_left))
         if len(allowed) < settings.min_features:
             raise SkippedFrame(_too_few(found, len(of_right), settings.min_features))
         return found
 
     def _refined(
         self, left: Image, right: Image, uv_px: Places, u_right: Places
-    ) -> tuple[Places, Places, npt.NDArray[np.bool_]]:
-        """Columns in the right image by correlation along the row, slopes of disparity, and which are good.
-
-        First as if each patch were of one disparity, which is good enough to tell the slopes.
-        """
-        template, other = patches(smoothed(left), uv_px), smoothed(right)
-        column, slope, good = u_right, np.zeros((len(uv_px), 2)), np.ones(len(uv_px), bool)
-        for again in (False, True):
-            if again:
-                slope[good] = float(os.environ.get("W_SL","1"))*slopes(uv_px[good], uv_px[good, 0] - column[good])
-            start = np.column_stack([column, uv_px[:, 1]])
-            found = aligned(template, other, start, of_slope(slope), rows_fixed=True)
-            column = np.where(good, found.uv_px[:, 0], column)
-            good &= (found.similarity >= LEAST_SIMILARITY) & (np.abs(column - u_right) <= MOST_SHIFT_PX)
-        return column, slope, good
+    ) -> tuple[Places, npt.NDArray[np.bool_]]:
+        """Columns in the right image by correlation along the row, and which of them are good."""
+        start = np.column_stack([u_right, uv_px[:, 1]])
+        template = patches(smoothed(left), uv_px)
+        found = aligned(template, smoothed(right), start, np.tile(np.eye(2), (len(start), 1, 1)), rows_fixed=True)
+        moved = np.abs(found.uv_px[:, 0] - u_right)
+        return found.uv_px[:, 0], (found.similarity >= LEAST_SIMILARITY) & (moved <= MOST_SHIFT_PX)
 
 
 def _too_few(found: Sides, right: int, wanted: int) -> str:
