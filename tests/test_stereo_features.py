@@ -28,6 +28,11 @@ def grid() -> np.ndarray:
     return rng.uniform([20, 20], [SIZE[0] - 20, SIZE[1] - 20], (150, 2))
 
 
+def even(uv: np.ndarray) -> np.ndarray:
+    """The warp of patches that keep shape and size."""
+    return np.tile(np.eye(2), (len(uv), 1, 1))
+
+
 # Features ---------------------------------------------------------------------------------------------------
 
 
@@ -120,7 +125,7 @@ def test_shift_of_patches(shift: tuple[float, float], gain: float) -> None:
     """Noise of one grey level on contrast of 30: places to 0.03 px, without bias at any fraction of a pixel."""
     wall, uv = Wall(4), grid()
     template = patches(smoothed(wall.seen((0, 0))), uv)
-    found = aligned(template, smoothed(wall.seen(shift, gain=gain)), uv + np.round(shift), np.ones(len(uv)))
+    found = aligned(template, smoothed(wall.seen(shift, gain=gain)), uv + np.round(shift), even(uv))
     errors = found.uv_px - moved(uv, shift)
     assert (found.similarity > 0.9).mean() > 0.95
     assert np.abs(np.median(errors, axis=0)).max() < 0.015
@@ -132,7 +137,7 @@ def test_patches_that_grew() -> None:
     uv = uv[np.abs(uv - (np.array(SIZE) - 1) / 2).max(axis=1) < 35]
     template = patches(smoothed(wall.seen((0, 0))), uv)
     image, start = smoothed(wall.seen((0.3, 0.2), grown)), moved(uv, (0.0, 0.0), grown)
-    told, not_told = (aligned(template, image, start, np.full(len(uv), scale)) for scale in (grown, 1.0))
+    told, not_told = (aligned(template, image, start, scale * even(uv)) for scale in (grown, 1.0))
     errors = told.uv_px - moved(uv, (0.3, 0.2), grown)
     assert sigma(errors).max() < 0.08
     assert 1 - np.median(told.similarity) < 0.3 * (1 - np.median(not_told.similarity))
@@ -141,7 +146,7 @@ def test_patches_that_grew() -> None:
 def test_rows_can_be_kept() -> None:
     wall, uv = Wall(6), grid()
     template = patches(smoothed(wall.seen((0, 0))), uv)
-    found = aligned(template, smoothed(wall.seen((-0.4, 0.0))), uv, np.ones(len(uv)), rows_fixed=True)
+    found = aligned(template, smoothed(wall.seen((-0.4, 0.0))), uv, even(uv), rows_fixed=True)
     np.testing.assert_array_equal(found.uv_px[:, 1], uv[:, 1])
     assert abs(np.median(found.uv_px[:, 0] - uv[:, 0] + 0.4)) < 0.015
 
@@ -150,11 +155,11 @@ def test_patches_that_are_not_there() -> None:
     """Another wall, one without contrast, a place outside the image: nothing that would pass for a match."""
     uv = grid()
     template = patches(smoothed(Wall(7).seen((0, 0))), uv)
-    other = aligned(template, smoothed(Wall(8).seen((0, 0))), uv, np.ones(len(uv)))
+    other = aligned(template, smoothed(Wall(8).seen((0, 0))), uv, even(uv))
     near = np.abs(other.uv_px - uv).max(axis=1) < MOST_SHIFT_PX
     assert np.mean(near & (other.similarity > LEAST_SIMILARITY)) < 0.02
     flat = smoothed(np.full((SIZE[1], SIZE[0]), 50, np.uint8))
-    assert aligned(patches(flat, uv), flat, uv, np.ones(len(uv))).similarity.max() == -1
-    outside = aligned(template, smoothed(Wall(7).seen((0, 0))), uv + 1000.0, np.ones(len(uv)))
+    assert aligned(patches(flat, uv), flat, uv, even(uv)).similarity.max() == -1
+    outside = aligned(template, smoothed(Wall(7).seen((0, 0))), uv + 1000.0, even(uv))
     assert outside.similarity.max() < LEAST_SIMILARITY
     assert patches(flat, uv).shape == (len(uv), 2 * HALF + 3, 2 * HALF + 3)

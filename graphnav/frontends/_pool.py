@@ -1,11 +1,20 @@
-"""Work on many items in worker processes, results in order, and few of them waiting at a time."""
+"""Work on many items in worker processes, results in order, and few of them waiting at a time.
+
+A worker process begins by reading the user's script again. One without ``if __name__ == "__main__":`` would then do
+all its work in every worker, and start workers of its own: such a worker leaves without a word, and the script's own
+process does the work alone.
+"""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import sys
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import TypeVar
@@ -18,6 +27,10 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 _BATCH, _AHEAD = 4, 3
 #: With fewer items than this a worker's start, about a second, costs more than it saves.
 _WORTH_IT = 100
+_UNGUARDED = (
+    "worker processes ended before they began, and the images are worked on in this process alone, which is slower. "
+    'If this is a script of yours, put its calls under: if __name__ == "__main__":'
+)
 
 
 def in_order(work: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None) -> Iterator[Result]:
@@ -29,11 +42,31 @@ def in_order(work: Callable[[Item], Result], items: Sequence[Item], workers: int
     items : what it is called with.
     workers : number of processes; 1 works in this one; None takes one per core if there are many items.
     """
+    leave_if_starting()
     if workers is None:
         workers = (os.cpu_count() or 1) if len(items) >= _WORTH_IT else 1
     if workers <= 1 or len(items) <= 1:
         yield from map(work, items)
         return
+    done = 0
+    try:
+        for result in _pooled(work, items, workers):
+            yield result
+            done += 1
+    except BrokenProcessPool:
+        if done:
+            raise
+        warnings.warn(_UNGUARDED, RuntimeWarning, stacklevel=2)
+        yield from map(work, items)
+
+
+def leave_if_starting() -> None:
+    """End a worker process that is still reading the user's script, and came here because of a call in it."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        sys.exit(0)
+
+
+def _pooled(work: Callable[[Item], Result], items: Sequence[Item], workers: int) -> Iterator[Result]:
     with _single_threads(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
             yield from _windowed(pool, work, items, workers * _AHEAD)

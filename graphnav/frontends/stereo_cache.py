@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from graphnav.config import StereoTracksConfig
 
 #: Raised with every change of what comes out of the same images.
-VERSION = 2
+VERSION = 3
 _META = b"graphnav"
 _COLUMNS = ("t_s", "track", "u_left_px", "u_right_px", "v_px")
 

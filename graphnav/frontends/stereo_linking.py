@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from graphnav.frontends._opencv import opencv
 from graphnav.frontends.patch_alignment import aligned, patches, smoothed
 from graphnav.frontends.stereo_features import Places, Whole, cell_of, most_per_cell, rank_within
 from graphnav.frontends.stereo_following import Flow, Proposal, by_descriptors
 from graphnav.frontends.stereo_sides import LEAST_SIMILARITY, MOST_SHIFT_PX, PairWork, Sides
 from graphnav.frontends.stereo_state import TrackState
+from graphnav.frontends.stereo_step import Step, step
+from graphnav.frontends.stereo_warp import Planes, Warps, planes, warps
 from graphnav.log import Stereo
 
 if TYPE_CHECKING:
@@ -27,13 +28,10 @@ if TYPE_CHECKING:
 
 #: Frames for which a track with a descriptor may be unseen.
 _MOST_MISSED = 3
-#: Largest change of the apparent size since the first sight.
-_MOST_GROWTH = 2.0
 #: New features keep this distance from those that are followed, about.
 _APART_PX = 6.0
-#: Of the check against the motion of a camera: tolerance, trials.
-_MOTION_PX, _TRIALS = 2.0, 60
-_LEAST_FOR_MOTION = 8
+#: Disparities that differ by more from what the motion makes of the first one: it is the disparity that is believed.
+_MOST_OFF = 0.1
 
 
 @dataclass(frozen=True)
@@ -54,6 +52,7 @@ class Linker:
         self._flow = Flow()
         self._tracks: TrackState | None = None
         self._next = 1
+        self._rotation, self._pos_m = np.eye(3), np.zeros(3)
 
     @property
     def _settings(self) -> StereoTracksConfig:
@@ -76,10 +75,14 @@ class Linker:
             return None
         tracks, flow = self._tracks, self._settings.follow == "flow"
         found = self._flow(tracks, sides) if flow else by_descriptors(tracks, sides)
+        known = tracks.take(found.rows)
+        moved_by = step(self._camera, known.uv_px, known.disparity_px, found.uv_px)
+        if moved_by is not None:
+            found = found.take(moved_by.fits)
+            self._go(moved_by)
         if smooth is not None:
             found = self._refined(tracks, found, sides, smooth)
         found = found.take(self._depth_allowed(found))
-        found = found.take(fits_a_motion(tracks.take(found.rows), found, self._camera))
         moved = tracks.take(found.rows).moved(found.uv_px, found.u_right_px)
         if flow:
             return moved
@@ -87,18 +90,35 @@ class Linker:
         waiting = tracks.take(unseen)
         return moved.joined(type(tracks)(**{**waiting.__dict__, "missed": waiting.missed + 1}))
 
+    def _go(self, moved_by: Step) -> None:
+        """The camera's pose now, as ``X = R X0 + t`` from its frame at the first pair."""
+        self._rotation = moved_by.rotation @ self._rotation
+        self._pos_m = moved_by.rotation @ self._pos_m + moved_by.pos_m
+
     def _refined(self, tracks: TrackState, found: Proposal, sides: Sides, smooth: npt.NDArray[np.float32]) -> Proposal:
         """Places by correlation with the first sight."""
         known = tracks.take(found.rows)
-        grown = (found.uv_px[:, 0] - found.u_right_px) / known.first_disparity_px
-        scale = np.clip(grown, 1 / _MOST_GROWTH, _MOST_GROWTH)
-        left = aligned(known.template, smooth, found.uv_px, scale)
+        warp = self._warps(known, found.uv_px[:, 0] - found.u_right_px)
+        left = aligned(known.template, smooth, found.uv_px, warp.left)
         start = np.column_stack([found.u_right_px + left.uv_px[:, 0] - found.uv_px[:, 0], left.uv_px[:, 1]])
-        right = aligned(known.template, smoothed(sides.right), start, scale, rows_fixed=True)
+        right = aligned(known.template, smoothed(sides.right), start, warp.right, rows_fixed=True)
         good = np.minimum(left.similarity, right.similarity) >= LEAST_SIMILARITY
         good &= np.abs(left.uv_px - found.uv_px).max(axis=1, initial=0.0) <= MOST_SHIFT_PX
         good &= np.abs(right.uv_px[:, 0] - start[:, 0]) <= MOST_SHIFT_PX
         return Proposal(found.rows, left.uv_px, right.uv_px[:, 0]).take(good)
+
+    def _warps(self, known: TrackState, disparity_px: Places) -> Warps:
+        """What became of the patches since their first sight.
+
+        The motion may have been lost since then, or a point's depth at first be wrong: then the disparity now tells how
+        much it grew.
+        """
+        rotation = self._rotation @ np.swapaxes(known.first_rotation, 1, 2)
+        pos_m = self._pos_m - np.einsum("nij,nj->ni", rotation, known.first_pos_m)
+        found = warps(self._camera, Planes(known.first_place, known.normal_1_m), rotation, pos_m)
+        off = disparity_px / found.disparity_px
+        off[np.abs(off - 1) < _MOST_OFF] = 1.0
+        return Warps(found.left * off[:, None, None], found.right * off[:, None, None], found.disparity_px)
 
     def _depth_allowed(self, found: Proposal) -> npt.NDArray[np.bool_]:
         far = found.uv_px[:, 0] - found.u_right_px
@@ -112,12 +132,17 @@ class Linker:
         number = np.arange(self._next, self._next + len(rows))
         self._next += len(rows)
         template = np.empty((len(rows), 0, 0), np.float32) if smooth is None else patches(smooth, uv)
+        # as if square to the view: slopes from the neighbours' disparities made it worse, for features lie on edges
+        wall = planes(self._camera, uv, uv[:, 0] - u_right, np.zeros_like(uv))
         return TrackState(
             track=number,
             uv_px=uv,
             u_right_px=u_right,
             template=template,
-            first_disparity_px=uv[:, 0] - u_right,
+            first_place=wall.place,
+            normal_1_m=wall.normal_1_m,
+            first_rotation=np.tile(self._rotation, (len(rows), 1, 1)),
+            first_pos_m=np.tile(self._pos_m, (len(rows), 1)),
             descriptor=sides.features.descriptor[rows],
             pixel_scale=sides.features.scale[rows],
             missed=np.zeros(len(rows), np.int64),
@@ -139,28 +164,3 @@ def free_rows(seen_px: Places, offered_px: Places, size: tuple[int, int], count:
     rank = rank_within(cell, np.arange(len(rows)))
     rows = rows[rank + held[cell] < most_per_cell(count)]
     return np.asarray(rows[: max(0, count - len(seen_px))])
-
-
-def fits_a_motion(before: TrackState, found: Proposal, camera: Stereo) -> npt.NDArray[np.bool_]:
-    """Which of the tracks are where one motion of the camera puts them, given their depth before.
-
-    With too few to tell, or without a motion that most fit, none is dropped: the motion's estimate judges again.
-    """
-    everything = np.ones(len(found.rows), bool)
-    if len(found.rows) < _LEAST_FOR_MOTION:
-        return everything
-    depth = camera.fx_px * camera.baseline_m / before.disparity_px
-    x = (before.uv_px[:, 0] - camera.cx_px) / camera.fx_px * depth
-    y = (before.uv_px[:, 1] - camera.cy_px) / camera.fy_px * depth
-    matrix = np.array([[camera.fx_px, 0, camera.cx_px], [0, camera.fy_px, camera.cy_px], [0, 0, 1.0]])
-    cv2 = opencv()
-    points = np.ascontiguousarray(np.column_stack([x, y, depth]))
-    solved, _, _, inliers = cv2.solvePnPRansac(
-        points, found.uv_px.copy(), matrix, None, iterationsCount=_TRIALS, reprojectionError=_MOTION_PX,
-        flags=cv2.SOLVEPNP_P3P,
-    )  # fmt: skip
-    if not solved or inliers is None or 2 * len(inliers) < len(everything):
-        return everything
-    good = ~everything
-    good[inliers.ravel()] = True
-    return good

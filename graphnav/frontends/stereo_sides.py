@@ -104,7 +104,7 @@ class PairWork:
         """Columns in the right image by correlation along the row, and which of them are good."""
         start = np.column_stack([u_right, uv_px[:, 1]])
         template = patches(smoothed(left), uv_px)
-        found = aligned(template, smoothed(right), start, np.ones(len(start)), rows_fixed=True)
+        found = aligned(template, smoothed(right), start, np.tile(np.eye(2), (len(start), 1, 1)), rows_fixed=True)
         moved = np.abs(found.uv_px[:, 0] - u_right)
         return found.uv_px[:, 0], (found.similarity >= LEAST_SIMILARITY) & (moved <= MOST_SHIFT_PX)
 

@@ -21,7 +21,9 @@ class TrackState:
     ----------
     track : (N,) number of the track.
     uv_px, u_right_px : (N, 2) and (N,) last place, in the left and right image.
-    template : (N, P, P) patch at its first sight, and first_disparity_px : (N,) disparity there.
+    template : (N, P, P) patch at its first sight.
+    first_place, normal_1_m : (N, 3) the wall there, see `stereo_warp.Planes`.
+    first_rotation, first_pos_m : (N, 3, 3), (N, 3) the camera's pose there, ``X = R X0 + t`` from the first pair's.
     descriptor, pixel_scale : of the feature at its last sight.
     missed : (N,) frames since then.
     """
@@ -30,7 +32,10 @@ class TrackState:
     uv_px: Places
     u_right_px: Places
     template: Floats
-    first_disparity_px: Places
+    first_place: Places
+    normal_1_m: Places
+    first_rotation: Places
+    first_pos_m: Places
     descriptor: npt.NDArray[Any]
     pixel_scale: Places
     missed: Whole

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from graphnav._stages import ProgressHook
 from graphnav.errors import LogError
-from graphnav.frontends._pool import in_order
+from graphnav.frontends._pool import in_order, leave_if_starting
 from graphnav.frontends.image_pairs import PairFiles, image_size, pair_files
 from graphnav.frontends.stereo_cache import cache_file, keep, kept
 from graphnav.frontends.stereo_calibration_check import check_calibration
@@ -55,6 +55,7 @@ def tracked(
     """
     from graphnav.config import StereoTracksConfig
 
+    leave_if_starting()
     settings = settings or StereoTracksConfig()
     files = pair_files(log)
     path = cache_file(log, files, settings) if cache else None
