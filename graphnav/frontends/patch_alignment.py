@@ -1,9 +1,10 @@
 """Places of small patches in an image to a fraction of a pixel, whatever the brightness.
 
-A patch ``T`` around a feature's first sight is found in another image ``I`` by Gauss-Newton on
-``I(x + W p) = a T(p) + b + c . p`` over the pixels p of the patch: the shift x, with gain a, offset b and ramp c removed
-by projection, for a headlight that moves with the camera brightens what it nears, and its nearer half more. `W` is how
-much larger the patch appears now, and how it is turned and sheared. The gradients are the patch's own, so that they are computed once (inverse composition; Baker and Matthews 2004).
+A patch ``T`` around a feature's first sight is found in another image ``I`` by Gauss-Newton on ``I(x + W p) = a T(p) +
+b + c . p`` over the pixels p of the patch: the shift x, with gain a, offset b and ramp c removed by projection, for a
+headlight that moves with the camera brightens what it nears, and its nearer half more. `W` is how much larger the patch
+appears now, and how it is turned and sheared. The gradients are the patch's own, so that they are computed once
+(inverse composition; Baker and Matthews 2004).
 
 A feature is always compared with its first sight and not with the frame before, so that errors do not add up along a
 track. What is common to all its places is a matter of which point of the wall is meant, and harmless.
