@@ -24,6 +24,7 @@ FLOORS = (
         "graphnav._memory",
         "graphnav._stages",
         "graphnav.methods",
+        "graphnav.records",
         "graphnav.log",
         "graphnav.trajectory",
         "factors",
