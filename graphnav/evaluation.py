@@ -17,6 +17,7 @@ import numpy as np
 
 from graphnav import _metrics as metrics
 from graphnav._consistency import one_run_band
+from graphnav._coverage import notes_of_another_log, notes_of_coverage, span
 from graphnav._cycles import CycleError, cycle_errors, sep
 from graphnav._metrics import RelativePoseError
 from graphnav._schema import Array
@@ -146,7 +147,8 @@ class Evaluation:
                 "attitude_deg": AxisStatistics.of(np.rad2deg(self.att_error_b_rad)).to_dict(),
             },
             "keyframes": {"judged": len(self.t_s), "of": self.keyframes_total},
-            "span_s": [float(self.t_s[0]), float(self.t_s[-1])],
+            # to the nanosecond: a first time of 2e-16 is what is left of 0.01 less a sampling interval
+            "span_s": [round(float(t), 9) for t in (self.t_s[0], self.t_s[-1])],
             "notes": list(self.notes),
         }
 
@@ -172,6 +174,7 @@ def evaluate(
     log: SensorLog,
     rpe_distance_m: float | None = None,
     innovations: Innovations | None = None,
+    run_of: str | None = None,
 ) -> Evaluation:
     """Judge a trajectory by the truth in its log.
 
@@ -182,21 +185,23 @@ def evaluate(
     rpe_distance_m : distance travelled between the two poses of a relative pose error. By default the first
         of 10, 100 and 1000 m that the spacing of the keyframes resolves to 10 %.
     innovations : of a Kalman filter (`Run.innovations`), for the NIS.
+    run_of : name of the log that the trajectory was estimated from (`Run.log_name`), None where it is not known.
 
     Raises
     ------
     GraphnavError
-        No truth, no keyframe that it covers, or a covariance that is no covariance.
+        No truth, no keyframe that it covers, a covariance that is no covariance, or the log is not the run's own.
     LogError
         Events that do not pair up.
     """
     if log.truth is None:
         raise GraphnavError(f"log {log.name} has no truth table to judge by; add truth.parquet or truth.csv")
+    foreign = notes_of_another_log(trajectory.t_s, log, run_of)
     judged, pos_true, quat_true = metrics.truth_at(log.truth, trajectory.t_s)
     if not judged.any():
         raise GraphnavError(
-            f"log {log.name}: truth covers {_span(log.truth.t_s)} and no keyframe of the run, "
-            f"{_span(trajectory.t_s)}; evaluate the run against its own log"
+            f"log {log.name}: truth covers {span(log.truth.t_s)} and no keyframe of the run, "
+            f"{span(trajectory.t_s)}; evaluate the run against its own log"
         )
     t_s, pos, quat = trajectory.t_s[judged], trajectory.pos_n[judged], trajectory.quat_nb[judged]
     error, att_error = pos - pos_true, metrics.attitude_error(quat, quat_true)
@@ -223,7 +228,7 @@ def evaluate(
             "time": metrics.relative_error(t_s, RPE_TIME_S, "s", *poses),
         },
         nis=None if innovations is None else innovations.to_dict(),
-        notes=notes,
+        notes=(*foreign, *notes_of_coverage(judged), *notes),
     )
 
 
@@ -252,7 +257,7 @@ def withheld_error(trajectory: Trajectory, position: Position) -> WithheldError:
     """
     inside = (position.t_s >= trajectory.t_s[0]) & (position.t_s <= trajectory.t_s[-1])
     if not inside.any():
-        raise GraphnavError(f"no withheld position in the trajectory's span, {_span(trajectory.t_s)}")
+        raise GraphnavError(f"no withheld position in the trajectory's span, {span(trajectory.t_s)}")
     t_s = position.t_s[inside]
     estimate = trajectory.at(t_s)
     error = estimate.pos_n - position.pos_n_m[inside]
@@ -269,7 +274,3 @@ def withheld_error(trajectory: Trajectory, position: Position) -> WithheldError:
         median_3d_m=float(np.median(norm)),
         nees_position=consistency,
     )
-
-
-def _span(t_s: Array) -> str:
-    return f"{t_s[0]:.3f} to {t_s[-1]:.3f} s"

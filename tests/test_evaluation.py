@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from graphnav._consistency import OverRuns, band, false_alarm
+from graphnav._coverage import span
 from graphnav._metrics import align, nees, truth_at, truth_states
 from graphnav.baselines.innovations import Innovations
 from graphnav.errors import GraphnavError, LogError
@@ -364,3 +365,26 @@ def test_mean_over_runs_knows_its_scatter() -> None:
     assert OverRuns.of([]) is None
     assert OverRuns.of([1.2, 0.9]).standard_error is None
     assert OverRuns.of([1.2, 1.2, 1.2]).low is None
+
+
+def test_a_run_of_another_log_is_refused_or_told() -> None:
+    truth, t = straight_truth(), np.arange(101.0)
+    log, own = make_log(truth), trajectory_of(truth, t, np.zeros(3))
+    assert evaluate(own, log, run_of="made").notes == ()
+    assert evaluate(own, log).notes == ()  # a run of before, which does not tell
+    (note,) = evaluate(own, log, run_of="shearer").notes  # a copy of the log under another name, perhaps
+    assert "log shearer" in note and "log made" in note
+    longer = Trajectory(
+        np.arange(600.0), *(np.repeat(each[:1], 600, axis=0) for each in (own.pos_n, own.quat_nb, own.vel_n))
+    )
+    with pytest.raises(GraphnavError, match=r"log shearer, 0\.000 to 599\.000 s, and log made .* 0\.000 to 100"):
+        evaluate(longer, log, run_of="shearer")
+    (note,) = evaluate(longer, log, run_of="made").notes
+    assert note.startswith("truth covers 17 % of the keyframes")
+
+
+def test_times_are_told_without_what_rounding_leaves() -> None:
+    truth = straight_truth()
+    t = np.r_[2.13e-16, np.arange(1.0, 101.0)]
+    assert evaluate(trajectory_of(truth, t, np.zeros(3)), make_log(truth)).to_dict()["span_s"] == [0.0, 100.0]
+    assert span([-2e-17, 1e3 / 7]) == "0.000 to 142.857 s"
