@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 ATT, POS = slice(0, 3), slice(3, 6)  # blocks of the 9x9 covariance
 RPE_TIME_S = 10.0
 _ON_ROW_S = 1e-3
+#: Note where positions leave the alignment open.
+STRAIGHT = "a straight path, or none, does not say how it is turned about its line: APE aligned has no rotation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +212,8 @@ def evaluate(
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pos_true, axis=0), axis=1))])
     distance = rpe_distance_m or metrics.resolved_distance(travelled)
     poses = (pos, quat, pos_true, quat_true)
+    aligned = absolute_error(*poses, aligned=True)
+    straight = (STRAIGHT,) if aligned.rotation_rms_deg is None else ()
     return Evaluation(
         t_s=t_s,
         error_n_m=error,
@@ -220,7 +224,7 @@ def evaluate(
         nees_axes=None if cov is None else metrics.nees_axes(error, cov[:, POS, POS]),
         nees_attitude=None if cov is None else _attitude_nees(log, t_s, att_error, cov[:, ATT, ATT]),
         ape={
-            "aligned": absolute_error(*poses, aligned=True),
+            "aligned": aligned,
             "unaligned": absolute_error(*poses, aligned=False),
         },
         rpe={
@@ -228,7 +232,7 @@ def evaluate(
             "time": metrics.relative_error(t_s, RPE_TIME_S, "s", *poses),
         },
         nis=None if innovations is None else innovations.to_dict(),
-        notes=(*foreign, *notes_of_coverage(judged), *notes),
+        notes=(*foreign, *notes_of_coverage(judged), *notes, *straight),
     )
 
 
