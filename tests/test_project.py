@@ -79,6 +79,7 @@ FLOORS = (
         "graphnav.observability",
         "graphnav.leg_agreement",
         "graphnav.agreement",
+        "graphnav.costs",
         "graphnav.range_clock",
     },
     {
