@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _DEAR, _MANY = 3.0, 0.2
 #: Letters of a native factor's keys -> what it is; the first row whose letters it has names it.
 _NATIVE = (
-    ("xvb", "IMU"),
+    ("xvb", "IMU samples"),
     ("k", "closed path"),
     ("xc", "closed path"),
     ("xt", "UWB ranges"),

@@ -24,7 +24,7 @@ from graphnav.smooth import smooth
 from graphnav.solvers import batch
 
 IN_ALL = {
-    "odometer", "IMU", "initial pose and positions", "velocities at rest", "motions between keyframes",
+    "odometer", "IMU samples", "initial pose and positions", "velocities at rest", "motions between keyframes",
     "declared IMU biases", "declared odometer calibration",
 }  # fmt: skip
 
