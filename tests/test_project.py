@@ -20,6 +20,7 @@ HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich",
 FLOORS = (
     {
         "graphnav.errors",
+        "graphnav._hints",
         "graphnav._schema",
         "graphnav._memory",
         "graphnav._stages",
@@ -33,6 +34,7 @@ FLOORS = (
         "graphnav.readers",
         "graphnav.frontends",
         "graphnav.baselines",
+        "graphnav._config_errors",
         "graphnav.config",
         "graphnav.evaluation",
         "graphnav._metrics",
@@ -100,6 +102,7 @@ FLOORS = (
         "graphnav.face_line",
         "graphnav.creep",
         "graphnav.range_outcome",
+        "graphnav.holes",
         "graphnav.range_rounds",
         "graphnav.camera_outcome",
     },
