@@ -168,7 +168,10 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
     trajectory = load(arguments.folder)
     log = _read(arguments.log)
-    evaluation = judge(trajectory, log, run_of=log_of(arguments.folder))
+    run_of = log_of(arguments.folder)
+    evaluation = judge(trajectory, log, run_of=run_of)
+    if run_of not in (None, log.name):
+        print(f"graphnav: warning: {evaluation.notes[0]}", file=sys.stderr)
     if arguments.plot is not None:
         plot_run(trajectory, log, arguments.plot, evaluation)
     if arguments.json:

@@ -33,7 +33,7 @@ ATT, POS = slice(0, 3), slice(3, 6)  # blocks of the 9x9 covariance
 RPE_TIME_S = 10.0
 _ON_ROW_S = 1e-3
 #: Note where positions leave the alignment open.
-STRAIGHT = "a straight path, or none, does not say how it is turned about its line: APE aligned has no rotation"
+STRAIGHT = "a path straight within its errors does not say how it is turned about its line: APE aligned has no rotation"
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -206,7 +207,7 @@ def test_evaluate_prints_the_keys_of_the_interface(
 
 
 def test_evaluate_refuses_a_log_that_the_run_is_not_of(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    shift: Path, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = tmp_path / "other"
     assert cli.main(["simulate", "full-shift", "--hours", "0.02", "--seed", "3", "-o", str(other)]) == 0
@@ -214,6 +215,13 @@ def test_evaluate_refuses_a_log_that_the_run_is_not_of(
     assert cli.main(["evaluate", str(run), str(other), "--json"]) == 2
     out, err = capsys.readouterr()
     assert out == "" and "evaluate a run against its own log" in err
+    renamed = tmp_path / "renamed"
+    shutil.copytree(shift, renamed)
+    text = (shift / "log.toml").read_text().replace(f'name = "{read(shift).name}"', 'name = "renamed"')
+    (renamed / "log.toml").write_text(text)
+    assert cli.main(["evaluate", str(run), str(renamed), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert err == f"graphnav: warning: {json.loads(out)['notes'][0]}\n" and "judged by log renamed" in err
 
 
 def test_compare_prints_the_rows_of_the_interface(
