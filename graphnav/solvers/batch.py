@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from graphnav.errors import SolveError
 from graphnav.solvers.elimination import check_determined, eliminate, ordering_of, sound
+from graphnav.solvers.linearized import Linear, Linearizable, linearized
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,13 +38,6 @@ class Iteration:
     step_sigmas: float
     damping: float
     seconds: float
-
-
-class Linearizable(Protocol):
-    """A nonlinear least-squares problem: a GTSAM graph, or one beside families of factors linearized as arrays."""
-
-    def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
-        """Whitened linear factors at the given values."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +88,11 @@ def solve(
     SolveError : a singular system (names a variable), or no descent.
     """
     iterations: list[Iteration] = []
-    linear = graph.linearize(values)
-    ordering = ordering_of(linear, first)
+    linear = linearized(graph, values)
+    ordering = ordering_of(linear.factors, first)
     order = [ordering.at(k) for k in range(ordering.size())]
     near_sigmas = tolerance_sigma if first is not None else _NEAR_SIGMAS
-    error = linear.error(values.zeroVectors())
+    error = linear.error
     if not np.isfinite(error):
         raise SolveError("the error is not finite at the start: check the log for impossible values")
     near, flat = False, 0
@@ -115,12 +109,12 @@ def solve(
         if not converged:
             # linear and tree are large: at no time hold two of either
             del tree, linear
-            linear = graph.linearize(moved)
-            next_error = linear.error(moved.zeroVectors())
+            linear = linearized(graph, moved)
+            next_error = linear.error
             if not next_error <= error * (1 + 1e-9):
                 del linear
                 shorter = _shorter_step(graph, values, error, delta, step)
-                found = shorter or _damped_step(graph, values, ordering, error)
+                found = shorter or _damped_step(graph, values, first, error)
                 moved, linear, next_error, damping = found
         iterations.append(Iteration(error, step, damping, time.perf_counter() - began))
         flat = flat + 1 if error - next_error < _FLAT else 0
@@ -134,7 +128,7 @@ def solve(
             if exact:
                 tree, delta, _ = _step(linear, ordering, error, exact=first is None)
                 if first is not None and not sound(tree, order, delta):
-                    tree = eliminate(linear, ordering)
+                    tree = eliminate(linear.factors, ordering)
             break
     if not exact:
         return BatchResult(values, None, tuple(iterations), converged, order)
@@ -143,7 +137,7 @@ def solve(
 
 
 def _step(
-    linear: gtsam.GaussianFactorGraph, ordering: gtsam.Ordering, error: float, exact: bool
+    linear: Linear, ordering: gtsam.Ordering, error: float, exact: bool
 ) -> tuple[gtsam.GaussianBayesTree, gtsam.VectorValues, float]:
     """Bayes tree, Gauss-Newton step and its length in joint sigmas.
 
@@ -152,21 +146,21 @@ def _step(
     """
     if not exact:
         try:
-            tree = linear.eliminateMultifrontal(ordering)
-            delta = tree.optimize()
-            gain = error - linear.error(delta)
+            tree = linear.factors.eliminateMultifrontal(ordering)
+            delta = linear.step(tree)
+            gain = error - linear.factors.error(delta)
             if np.isfinite(gain) and gain > 0:
                 return tree, delta, float(np.sqrt(2 * gain))
         except RuntimeError:
             pass  # indeterminate to Cholesky, as sound long chains may be
-    tree = eliminate(linear, ordering)
-    delta = tree.optimize()
-    return tree, delta, float(np.sqrt(max(2 * (error - linear.error(delta)), 0.0)))
+    tree = eliminate(linear.factors, ordering)
+    delta = linear.step(tree)
+    return tree, delta, float(np.sqrt(max(2 * (error - linear.factors.error(delta)), 0.0)))
 
 
 def _shorter_step(
     graph: Linearizable, values: gtsam.Values, error: float, delta: gtsam.VectorValues, step: float
-) -> tuple[gtsam.Values, gtsam.GaussianFactorGraph, float, float] | None:
+) -> tuple[gtsam.Values, Linear, float, float] | None:
     """A half, a quarter, ... of the Gauss-Newton step, whichever first lowers the error; None where none does.
 
     The step points downhill however far it overshoots. Damping, which holds every variable alike, takes a hundred steps
@@ -175,8 +169,8 @@ def _shorter_step(
     share = 0.5
     while share > 0.02:
         moved = values.retract(delta.scale(share))
-        again = graph.linearize(moved)
-        moved_error = again.error(moved.zeroVectors())
+        again = linearized(graph, moved)
+        moved_error = again.error
         if moved_error < error - 0.05 * share * step**2:
             return moved, again, moved_error, 0.0
         share /= 2
@@ -184,18 +178,22 @@ def _shorter_step(
 
 
 def _damped_step(
-    graph: Linearizable, values: gtsam.Values, ordering: gtsam.Ordering, error: float
-) -> tuple[gtsam.Values, gtsam.GaussianFactorGraph, float, float]:
-    """Raise the damping until a step lowers the error: the new values, their linearization and error, the damping."""
+    graph: Linearizable, values: gtsam.Values, first: list[int] | None, error: float
+) -> tuple[gtsam.Values, Linear, float, float]:
+    """Raise the damping until a step lowers the error: the new values, their linearization and error, the damping.
+
+    Points are damped like everything else, so here they are not eliminated beforehand.
+    """
     linear = graph.linearize(values)
+    ordering = ordering_of(linear, first)
     # a step that fails for want of information is no matter of damping
     check_determined(eliminate(linear, ordering), [ordering.at(k) for k in range(ordering.size())])
     damping = _FIRST_DAMPING
     while damping <= _MAX_DAMPING:
         step = eliminate(_damped(linear, values, damping), ordering).optimize()
         moved = values.retract(step)
-        again = graph.linearize(moved)
-        moved_error = again.error(moved.zeroVectors())
+        again = linearized(graph, moved)
+        moved_error = again.error
         if moved_error < error:
             return moved, again, moved_error, damping
         damping *= 10
