@@ -10,6 +10,7 @@ import numpy as np
 from factors.increments import npt_int
 from graphnav._observability import NOT_OBSERVABLE
 from graphnav.config import UwbConfig
+from graphnav.frontends.trilateration import usable
 from graphnav.log import Uwb
 from graphnav.range_clock import ClockScore
 from graphnav.ranges import RangeReadings
@@ -167,3 +168,17 @@ def _amiss(offset_s: float) -> str:
 
 def _sigmas(score: ClockScore) -> str:
     return f"{abs(score.offset_s) / score.sigma_s:.0f}"
+
+
+def geometry_warnings(uwb: Uwb) -> list[str]:
+    """What anchors on one line cannot tell: ranges to them are the same all around it.
+
+    A path that comes close to the line may leave it on the wrong side, with small sigmas: a minimum of its own.
+    """
+    heard = [anchor.pos_n_m for anchor in uwb.anchor if (np.asarray(uwb.anchor_id) == anchor.id).any()]
+    if len(heard) > 2 and usable(np.array(heard), np.ones((1, len(heard)), bool))[0]:
+        return []
+    return [
+        f"the {len(heard)} UWB anchors heard lie on one line: on which side of it the machine is, the IMU and the start"
+        " alone tell, and where it comes near the line its path may be a mirror image; survey an anchor beside the line"
+    ]

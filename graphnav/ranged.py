@@ -29,6 +29,7 @@ from graphnav.frontends.range_epochs import (
     start_position,
 )
 from graphnav.log import InitialState, Uwb
+from graphnav.range_outcome import geometry_warnings
 from graphnav.run import Diagnostics, Run
 from graphnav.trajectory import Trajectory
 
@@ -157,7 +158,7 @@ def run_range_filter(problem: Problem, method: str, stages: Stages) -> Run:
     trajectory = Trajectory(problem.keyframe_s, pos, quat, vel, cov if problem.config.covariance else None, bridge)
     rejected = {"uwb": forward.rejected} if forward.rejected else {}
     diagnostics = replace(diagnosed(problem, method, stages), nis=innovations.to_dict(), rejected=rejected)
-    diagnostics.warnings.extend(inconsistent(innovations))
+    diagnostics.warnings.extend(inconsistent(innovations) + geometry_warnings(ranges_of(problem.log)))
     return Run(trajectory, last(known), diagnostics, problem.config, history=known, innovations=innovations)
 
 

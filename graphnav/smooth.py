@@ -29,6 +29,7 @@ from graphnav.range_outcome import (
     anchor_counts,
     clock_warnings,
     contradictory,
+    geometry_warnings,
     range_residuals,
     range_warnings,
     rejected,
@@ -175,7 +176,8 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
         of_anchors = range_warnings(problem.log.uwb, counts, found)
         score = None if contradictory(of_anchors) else solved.clock_score
-        noted += of_anchors + clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
+        noted += geometry_warnings(problem.log.uwb) + of_anchors
+        noted += clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
     left_out = rejected(counts)
     if solved.camera is not None and solved.camera_left_out is not None:

@@ -66,7 +66,11 @@ class Uwb(Record):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, used, declared in (("tag", self.tag_id, self.tag), ("anchor", self.anchor_id, self.anchor)):
-            known = sorted({item.id for item in declared})
+            ids = [item.id for item in declared]
+            known = sorted(set(ids))
+            if len(known) < len(ids):
+                twice = next(name for name in ids if ids.count(name) > 1)
+                raise self.error(f'{name} "{twice}" is declared twice', fix=f"keep one of its [[uwb.{name}]] sections")
             wrong = np.flatnonzero(~np.isin(used, known))
             if len(wrong):
                 raise self.error(
