@@ -71,11 +71,14 @@ def smooth(
         raise ConfigError(f"{method} estimates no time offset of ranges: batch and isam2 do, or declare time_offset_s")
     stages = Stages(progress)
     log = _opened(log, stages)
+    return replace(_by_method(log, config or Config(), method, stages), log_name=log.name)
+
+
+def _by_method(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:
     if method in ("uwb", "uwb-vbukf"):
         from graphnav.ranged import run_ranges
 
-        return run_ranges(log, config or Config(), method, stages)
-    config = config or Config()
+        return run_ranges(log, config, method, stages)
     config = _looking(config, method, log)
     if method == "stereo":
         from graphnav.stereo_filtered import run_stereo

@@ -40,6 +40,7 @@ FLOORS = (
         "graphnav._directions",
         "graphnav._observability",
         "graphnav._consistency",
+        "graphnav._coverage",
         "graphnav._cycles",
         "graphnav._statistics",
     },

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from factors.earth import EARTH_RATE_RAD_S
+from graphnav._coverage import span
 from graphnav._schema import Array
 from graphnav.errors import LogError
 from graphnav.frontends import quiet
@@ -99,8 +100,7 @@ def _other_clocks(log: SensorLog, imu: Imu) -> list[LogError]:
     for record in log.tables().values():
         times = getattr(record, record.TIME)
         if times[-1] < imu.start_s or times[0] > imu.t_s[-1]:
-            there = f"{times[0]:.6g} to {times[-1]:.6g} s"
-            problem = f"times {there} lie outside the IMU's {imu.start_s:.6g} to {imu.t_s[-1]:.6g} s"
+            problem = f"times {span(times)} lie outside the IMU's {span([imu.start_s, imu.t_s[-1]])}"
             fix = "give all tables in seconds of one clock, or declare time_offset_s"
             findings.append(record.error(problem, column=record.TIME, fix=fix))
     return findings
