@@ -10,6 +10,7 @@ import numpy as np
 
 from graphnav.config import Config
 from graphnav.errors import LogError
+from graphnav.frontends.camera_check import refuse_wrong_camera
 from graphnav.frontends.gyro_turns import gyro_turns
 from graphnav.frontends.rest import rest_spans
 from graphnav.log import RelativePose, SensorLog
@@ -40,7 +41,7 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
 
     Raises
     ------
-    LogError : images that cannot be read, or that are not those of the declared camera.
+    LogError : images that cannot be read, or images or features that are not those of the declared camera.
     """
     if config.stereo.form == "off" or (log.stereo_pairs is None and log.stereo_tracks is None):
         return Sighted(log)
@@ -49,6 +50,7 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
         return Sighted(log, None, (f"the table {table} is not used: declare the camera in a section [stereo]",))
     if log.stereo_tracks is None and log.relative_pose is not None:
         return Sighted(log, None, ("the images are not used: the log has relative poses already",))
+    refuse_wrong_camera(log)
     log, notes = _tracked(log, config, progress)
     if log.imu is None and log.relative_pose is not None:
         return Sighted(log, None, notes)

@@ -12,6 +12,7 @@ from factors.earth import EARTH_RATE_RAD_S
 from graphnav._schema import Array
 from graphnav.errors import LogError
 from graphnav.frontends import quiet
+from graphnav.frontends.camera_check import camera_findings
 from graphnav.frontends.rest import odometer_rest
 from graphnav.log import Imu, InitialState, Odometer, SensorLog
 
@@ -61,7 +62,7 @@ def _findings(log: SensorLog, spans: Array) -> list[LogError]:
         findings += _gyro(log.imu, rest)
     if log.odometer is not None:
         findings += _speed(log.odometer)
-    return findings
+    return findings + camera_findings(log)
 
 
 def _rows_at_rest(imu: Imu, spans: Array) -> slice | None:

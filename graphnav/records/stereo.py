@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 from graphnav._schema import Array, Record, column, param
 from graphnav.records.rotation import QUAT, XYZ, unit_quaternion
 
+#: No machine carries a pair of cameras farther apart, m.
+_LONGEST_BASELINE_M = 5.0
 _UPPER_6X6 = tuple(f"c_{i}{j}" for i in range(6) for j in range(i, 6))
 
 
@@ -39,6 +41,9 @@ class Stereo(Record):
     def __post_init__(self) -> None:
         super().__post_init__()
         unit_quaternion(self, "T_bc_quat_wxyz")
+        if self.baseline_m > _LONGEST_BASELINE_M:
+            problem = f"{self.baseline_m:g}, expected metres, {_LONGEST_BASELINE_M:g} at most"
+            raise self.error(problem, column="baseline_m", fix="multiply it by 0.001 if it is in mm")
 
 
 @dataclass(frozen=True, eq=False)
