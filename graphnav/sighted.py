@@ -10,7 +10,7 @@ import numpy as np
 
 from graphnav.config import Config
 from graphnav.errors import LogError
-from graphnav.frontends.camera_check import refuse_wrong_camera
+from graphnav.frontends.camera_check import centre_note, refuse_wrong_camera
 from graphnav.frontends.gyro_turns import gyro_turns
 from graphnav.frontends.rest import rest_spans
 from graphnav.log import RelativePose, SensorLog
@@ -59,8 +59,11 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
 
 def _tracked(log: SensorLog, config: Config, progress: Progress | None) -> tuple[SensorLog, tuple[str, ...]]:
     """The log with its features followed."""
-    if log.stereo_tracks is not None:
-        return log, ()
+    if log.stereo_tracks is not None and log.stereo is not None:
+        note = centre_note(log.stereo, log.stereo_tracks)
+        return log, (note,) if note else ()
+    from graphnav.frontends.image_pairs import pair_files
+    from graphnav.frontends.image_size import size_note
     from graphnav.frontends.stereo_tracks import tracked
 
     hook = None if progress is None else (lambda _, done, total: progress(done, total))
@@ -69,6 +72,8 @@ def _tracked(log: SensorLog, config: Config, progress: Progress | None) -> tuple
     total = len(found.t_s) + len(found.skipped)
     notes = tuple(f"{count} of {total} image pairs were not used: {reason}" for reason, count in reasons.most_common(3))
     assert log.stereo is not None
+    size = size_note(pair_files(log), log.stereo)
+    notes += (size,) if size else ()
     # what the front end adds to what the pair's calibration leaves
     disparity = float(np.hypot(log.stereo.disparity_sigma_px, config.stereo_tracks.bias_px))
     stereo = log.stereo.replace(disparity_sigma_px=disparity)

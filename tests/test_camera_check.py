@@ -6,11 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from stereo_scene import drive, roadway, stereo_log, tracked
+from stereo_scene import HEIGHT_PX, WIDTH_PX, drive, roadway, stereo_log, tracked
 
 from graphnav.config import Config
 from graphnav.errors import LogError
-from graphnav.frontends.camera_check import camera_findings
+from graphnav.frontends.camera_check import camera_findings, centre_note
 from graphnav.frontends.units import check_units
 from graphnav.log import SensorLog, StereoTracks
 from graphnav.sighted import with_stereo
@@ -65,6 +65,21 @@ def test_one_column_for_both_sides(log: SensorLog) -> None:
 def test_a_principal_point_outside_the_image(log: SensorLog, key: str) -> None:
     message = refused(dataclasses.replace(log, stereo=log.stereo.replace(**{key: -5.0})))
     assert message.startswith(f"[stereo], {key}: -5, expected a place inside the image")
+
+
+def test_features_outside_the_declared_images(log: SensorLog) -> None:
+    fits = log.stereo.replace(width_px=WIDTH_PX, height_px=HEIGHT_PX)
+    assert camera_findings(dataclasses.replace(log, stereo=fits)) == []
+    small = fits.replace(width_px=320, height_px=180)
+    message = refused(dataclasses.replace(log, stereo=small))
+    assert message.startswith("table stereo_tracks, row ") and "of the rows outside 0 to 319 px" in message
+
+
+@pytest.mark.parametrize("key", ["cx_px", "cy_px"])
+def test_a_principal_point_beside_all_features_is_told(log: SensorLog, key: str) -> None:
+    assert centre_note(log.stereo, log.stereo_tracks) == ""
+    beside = dataclasses.replace(log, stereo=log.stereo.replace(**{key: 450.0}))
+    assert f"{key} of [stereo] is 450" in with_stereo(beside, Config()).notes[0]
 
 
 def test_a_baseline_in_mm(log: SensorLog) -> None:

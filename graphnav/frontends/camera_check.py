@@ -14,7 +14,10 @@ from graphnav.log import SensorLog, Stereo, StereoTracks
 
 #: Share of rows with negative disparities, beyond this many sigmas, from which on the sides are swapped.
 _SWAPPED, _SIGMAS = 0.5, 3.0
+#: Share of rows that may be anywhere, and by how many sigmas a feature at the edge may be read outside.
+_FEW, _EDGE_SIGMAS = 0.01, 5.0
 _SIDES = "u_left_px, u_right_px"
+_CALIBRATE = "give [stereo] the calibration of the rectified images in which features were tracked"
 
 
 def refuse_wrong_camera(log: SensorLog) -> None:
@@ -35,7 +38,20 @@ def camera_findings(log: SensorLog) -> list[LogError]:
     if stereo is None or tracks is None:
         return []
     disparity = tracks.u_left_px - tracks.u_right_px
-    return [*_swapped(stereo, tracks, disparity), *_flat(tracks, disparity), *_centre(stereo, tracks)]
+    findings = [*_swapped(stereo, tracks, disparity), *_flat(tracks, disparity)]
+    return [*findings, *_centre(stereo), *_outside(stereo, tracks)]
+
+
+def centre_note(stereo: Stereo, tracks: StereoTracks) -> str:
+    """Where all but a few features lie on one side of the principal point; empty where they surround it."""
+    for name, centre, places in (("cx_px", stereo.cx_px, tracks.u_left_px), ("cy_px", stereo.cy_px, tracks.v_px)):
+        low, high = np.quantile(places, [_FEW, 1 - _FEW])
+        if not low <= centre <= high:
+            return (
+                f"{name} of [stereo] is {centre:g}, but features lie from {low:.0f} to {high:.0f} px: if the"
+                " calibration is for images of another size, positions are wrong"
+            )
+    return ""
 
 
 def _swapped(stereo: Stereo, tracks: StereoTracks, disparity: Array) -> list[LogError]:
@@ -57,12 +73,24 @@ def _flat(tracks: StereoTracks, disparity: Array) -> list[LogError]:
     return [tracks.error(problem, row=0, column=_SIDES, fix="write the column of each image in its own")]
 
 
-def _centre(stereo: Stereo, tracks: StereoTracks) -> list[LogError]:
-    """The principal point is inside the image (of which features show that it begins at zero)."""
+def _centre(stereo: Stereo) -> list[LogError]:
+    """Features show that the image begins at zero, and the principal point is inside."""
     for name, value in (("cx_px", stereo.cx_px), ("cy_px", stereo.cy_px)):
         if value <= 0:
             return [stereo.error(f"{value:g}, expected a place inside the image", column=name, fix=_CALIBRATE)]
     return []
 
 
-_CALIBRATE = "give [stereo] the calibration of the rectified images in which features were tracked"
+def _outside(stereo: Stereo, tracks: StereoTracks) -> list[LogError]:
+    """More features than a few outside images of the declared size."""
+    if stereo.size_px is None:
+        return []
+    edge = _EDGE_SIGMAS * stereo.sigma_px
+    for name, size in zip(("u_left_px", "v_px"), stereo.size_px, strict=True):
+        places = getattr(tracks, name)
+        outside = (places < -edge) | (places > size - 1 + edge)
+        if outside.mean() > _FEW:
+            row = int(np.argmax(outside))
+            problem = f"{places[row]:.1f} px, as {outside.mean():.0%} of the rows outside 0 to {size - 1} px"
+            return [tracks.error(problem, row=row, column=name, fix=_CALIBRATE)]
+    return []
