@@ -12,11 +12,10 @@ from graphnav.config import Config
 from graphnav.errors import LogError
 from graphnav.frontends.camera_check import centre_note, refuse_wrong_camera
 from graphnav.frontends.gyro_turns import gyro_turns
+from graphnav.frontends.motion_failures import failure_note, refuse_contradiction
 from graphnav.frontends.rest import rest_spans
 from graphnav.log import RelativePose, SensorLog
 
-#: Share of motions that may fail without a word: the IMU bridges a frame or two.
-_FEW = 0.02
 Progress = Callable[[float, float], None]
 
 
@@ -41,7 +40,7 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
 
     Raises
     ------
-    LogError : images that cannot be read, or images or features that are not those of the declared camera.
+    LogError : images that cannot be read; images, features or turns that are not those of the declared camera.
     """
     if config.stereo.form == "off" or (log.stereo_pairs is None and log.stereo_tracks is None):
         return Sighted(log)
@@ -86,10 +85,9 @@ def _moved(log: SensorLog, config: Config, notes: tuple[str, ...], progress: Pro
 
     turns = None if log.imu is None or log.stereo is None else gyro_turns(log.imu, log.stereo, rest_spans(log))
     found = stereo_motions(log, config.stereo_motions, rotation_prior=turns, progress=progress)
-    links = len(found.inliers) + len(found.failures)
-    if len(found.failures) > _FEW * links:
-        reason, count = Counter(failed.reason for failed in found.failures).most_common(1)[0]
-        notes += (f"no motion from {len(found.failures)} of {links} keyframes to the next, {count} times: {reason}",)
+    refuse_contradiction(found, log.name)
+    note = failure_note(found)
+    notes += (note,) if note else ()
     if found.poses is None:
         if log.imu is None:
             raise LogError(
