@@ -16,7 +16,8 @@ import numpy.typing as npt
 from graphnav._stages import ProgressHook
 from graphnav.errors import LogError
 from graphnav.frontends._pool import in_order, leave_if_starting
-from graphnav.frontends.image_pairs import PairFiles, image_size, pair_files
+from graphnav.frontends.image_pairs import PairFiles, pair_files
+from graphnav.frontends.image_size import image_size
 from graphnav.frontends.stereo_cache import cache_file, keep, kept
 from graphnav.frontends.stereo_calibration_check import check_calibration
 from graphnav.frontends.stereo_linking import Linker, Sight

@@ -13,6 +13,7 @@ from graphnav._coverage import span
 from graphnav._schema import Array
 from graphnav.errors import LogError
 from graphnav.frontends import quiet
+from graphnav.frontends.camera_check import camera_findings
 from graphnav.frontends.rest import odometer_rest
 from graphnav.log import Imu, InitialState, Odometer, SensorLog, Uwb
 
@@ -67,7 +68,7 @@ def _findings(log: SensorLog, spans: Array) -> list[LogError]:
         findings += _speed(log.odometer)
     if log.uwb is not None:
         findings += _ranges(log.uwb)
-    return findings
+    return findings + camera_findings(log)
 
 
 def _rows_at_rest(imu: Imu, spans: Array) -> slice | None:
