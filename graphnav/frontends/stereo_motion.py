@@ -20,12 +20,10 @@ from factors.so3 import Array
 from factors.stereo import U_LEFT, U_RIGHT, StereoCamera
 from graphnav.config import StereoMotionsConfig
 from graphnav.frontends.stereo_alignment import consensus, near_enough
-from graphnav.frontends.stereo_bundle import Bundle, Mask, Matches, RotationPrior, adjusted
+from graphnav.frontends.stereo_bundle import LEAST_TOLD, Bundle, Mask, Matches, RotationPrior, adjusted
 
 #: A second motion that as many points agree with, as a share of those of the first, makes both doubtful.
 _RIVAL = 0.6
-#: Least share of the information that may not be due to the noise of the points, in any direction.
-_TOLD = 1 / 3
 #: Share of negative disparities, beyond their noise, from which the sides are taken for swapped.
 _SWAPPED = 0.5
 #: Fewest points within the gate of a sample of three for the bundle to start from it.
@@ -126,7 +124,7 @@ def _doubt(
         return f"{count} of {len(matches)} matches agree on a motion, {settings.min_inliers} are needed"
     if found.scale > _LARGEST_SCALE:
         return f"errors of {found.scale:.1f} times the declared {matches.sigma_px:.2g} px"
-    if found.told < _TOLD:
+    if found.told < LEAST_TOLD:
         return "the points lie on a line, on each other or too far away: the motion they tell is mostly their noise"
     if not found.converged:
         return f"the motion that {count} matches agree on does not converge"
