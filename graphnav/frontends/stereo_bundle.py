@@ -45,8 +45,9 @@ _REGATED = 3
 _STEPS = 25
 #: Least share of the information that may not be due to the noise of the points, in any direction.
 LEAST_TOLD = 1 / 3
-#: Noise of the points' depths as a multiple of what the errors show. It allows for errors that stay with a point in both
-#: pairs 3.4 times as large as those that change (correlation 0.92): these do not show, and are not averaged over pairs.
+#: Noise of the points' depths as a multiple of what the errors show. It allows for errors that stay with a point in
+#: both pairs 3.4 times as large as those that change (correlation 0.92): they do not show, and are not averaged over
+#: two pairs.
 _UNSEEN = 4.0
 #: Draws of noise for the seeming part, each used with both signs.
 _DRAWS = 2
@@ -121,7 +122,7 @@ class Bundle:
 
     @cached_property
     def _drowned(self) -> tuple[Array, Array]:
-        """Shares (6,) of the information that the declared noise would make up, and their directions (6, 6), sigma 1."""
+        """Shares (6,) of the information that the declared noise makes up, and their directions (6, 6), one sigma."""
         factor = np.linalg.cholesky(np.linalg.inv(self.information))
         shares, axes = np.linalg.eigh(factor.T @ self.seeming @ factor)
         return shares, factor @ axes
