@@ -22,6 +22,7 @@ FLOORS = (
         "graphnav.errors",
         "graphnav._schema",
         "graphnav._memory",
+        "graphnav._pool",
         "graphnav._stages",
         "graphnav.methods",
         "graphnav.records",
