@@ -26,6 +26,8 @@ _FIRST_DAMPING = 1e-3
 _MAX_DAMPING = 1e8
 #: From a step this short on, elimination is by QR: the next one is probably the last.
 _NEAR_SIGMAS = 30.0
+#: With landmarks, steps that have shrunk to this share of the one before go on shrinking to about it or less.
+_SHRINKS = 0.25
 #: Steps that lower the error (half a chi-square) by less than this, in a row, are enough.
 _FLAT, _FLAT_ITERATIONS = 0.2, 5
 
@@ -77,11 +79,12 @@ def solve(
     out, and the Bayes tree.
 
     Convergence rule: stop after a step whose joint Mahalanobis length, ``sqrt(delta' H delta)`` over all variables,
-    is at most `tolerance_sigma`: what is left is that small a part of one standard deviation. With `first` also after
-    five steps in a row that each lower the error by next to nothing (`_FLAT`): the lean of a leg times an error of
-    height is bilinear, and where neither is known, steps of half a sigma creep along a valley. A step that raises the
+    is at most `tolerance_sigma`: what is left is that small a part of one standard deviation. With `first` what is left
+    is told from how steps shrink (`_enough`), and five steps in a row that each lower the error by next to nothing
+    (`_FLAT`) are enough too: the lean of a leg times an error of height is bilinear, so that the last steps shrink by
+    a like share each, and where neither is known, steps of half a sigma creep along a valley. A step that raises the
     error is shortened, and where that does not help damped, until it lowers it. Not `exact`, also after a step that
-    lowers the error by less than the share `least_gain`.
+    lowers the error by less than the share `least_gain`, but not by how steps shrink.
 
     Raises
     ------
@@ -91,20 +94,22 @@ def solve(
     linear = linearized(graph, values)
     ordering = ordering_of(linear.factors, first)
     order = [ordering.at(k) for k in range(ordering.size())]
-    near_sigmas = tolerance_sigma if first is not None else _NEAR_SIGMAS
     error = linear.error
     if not np.isfinite(error):
         raise SolveError("the error is not finite at the start: check the log for impossible values")
-    near, flat = False, 0
+    near, flat, pivots = False, 0, False
     while True:
         began = time.perf_counter()
         tree, delta, step = _step(linear, ordering, error, exact=near)
-        if exact and not near and step <= near_sigmas:
+        before = iterations[-1].step_sigmas if iterations and exact and first is not None else 0.0
+        converged = _enough(step, before, tolerance_sigma)
+        if exact and not near and (converged or (first is None and step <= _NEAR_SIGMAS)):
             near = True
-            if step <= tolerance_sigma and not (first is not None and sound(tree, order, delta)):
+            pivots = converged and first is not None and sound(tree, order, delta)
+            if converged and not pivots:
                 tree, delta, step = _step(linear, ordering, error, exact=True)
+                converged = _enough(step, before, tolerance_sigma)
         moved = values.retract(delta)
-        converged = step <= tolerance_sigma
         damping, next_error = 0.0, error
         if not converged:
             # linear and tree are large: at no time hold two of either
@@ -127,13 +132,29 @@ def solve(
         if converged or len(iterations) == max_iterations:
             if exact:
                 tree, delta, _ = _step(linear, ordering, error, exact=first is None)
-                if first is not None and not sound(tree, order, delta):
+                pivots = first is not None and sound(tree, order, delta)
+                if first is not None and not pivots:
                     tree = eliminate(linear.factors, ordering)
             break
     if not exact:
         return BatchResult(values, None, tuple(iterations), converged, order)
-    check_determined(tree, order)
+    if not pivots:
+        check_determined(tree, order)
     return BatchResult(values, tree, tuple(iterations), converged, order)
+
+
+def _enough(step: float, before: float, tolerance_sigma: float) -> bool:
+    """Whether at most `tolerance_sigma` is left: of a step that short, or of steps that shrink.
+
+    After one that is at most the share q = `_SHRINKS` of the one before, steps of q, q^2, ... of it follow at most:
+    together q / (1 - q).
+
+    Parameters
+    ----------
+    before : length of the step before, 0 where its shrinking tells nothing.
+    """
+    shrinks = step <= _SHRINKS * before
+    return step <= tolerance_sigma or (shrinks and step * _SHRINKS / (1 - _SHRINKS) <= tolerance_sigma)
 
 
 def _step(
