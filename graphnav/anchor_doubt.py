@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.so3 import Array
 from graphnav._stages import Stages
 from graphnav.agreement import agreeing_ranges
 from graphnav.errors import SolveError
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 _LEAD = 14.0
 #: Sigma of a constant of which nothing is known.
 _FREE_M = 10.0
+#: Sigmas by which a chi-square may exceed its degrees of freedom: by chance that of one log in three million does.
+_MISFIT_SIGMAS = 5.0
 #: Starts of two paths nearer than this are those of one.
 _SAME_M = 0.1
 #: Joint sigmas to which an anchor's own solution is found, for its likelihood to be right to a twentieth; iterations.
@@ -70,7 +73,7 @@ class _Trial:
     Attributes
     ----------
     half_square : half its chi-square, each range left out at the value of one just not.
-    consistent : whether the ranges then no longer contradict each other.
+    consistent : whether all then fits: nothing more is to be said of the anchors.
     """
 
     anchor: int
@@ -87,6 +90,11 @@ class _Trial:
 
 def contradicting(problem: Problem, ranges: RangeReadings, fit: npt_bool, values: gtsam.Values) -> bool:
     """Whether ranges contradict each other near their common solution, by the rule of the warning that says so."""
+    return contradictory(_warned(problem, ranges, fit, values))
+
+
+def _warned(problem: Problem, ranges: RangeReadings, fit: npt_bool, values: gtsam.Values) -> list[str]:
+    """What the user would be told of the anchors."""
     uwb = problem.log.uwb
     assert uwb is not None
     counts = anchor_counts(uwb, ranges.only(fit), ranges.only(~fit), values)
@@ -94,7 +102,7 @@ def contradicting(problem: Problem, ranges: RangeReadings, fit: npt_bool, values
         f"uwb_bias_{uwb.anchor[a].id}": Calibration(float(values.atVector(A(a))[0]), None, "m")
         for a in np.unique(ranges.anchor).tolist()
     }
-    return contradictory(range_warnings(uwb, counts, found))
+    return range_warnings(uwb, counts, found)
 
 
 def doubted(problem: Problem, stages: Stages, data: Preintegrated, values: gtsam.Values) -> Doubt:
@@ -175,8 +183,19 @@ def _solved(problem: Problem, data: Preintegrated, values: gtsam.Values, fault: 
     fit = np.asarray(off <= config.reject_sigmas)
     rest = replace(graph, ranges=None).linearize(values).error(values.zeroVectors())
     half_square = float(rest + np.square(np.minimum(off, config.reject_sigmas)).sum() / 2)
-    consistent = not contradicting(problem, ranges, fit, values)
+    consistent = _fits(2 * rest, off, config.reject_sigmas) and not _warned(problem, ranges, fit, values)
     return _Trial(fault.anchor, half_square, consistent, problem, values)
+
+
+def _fits(rest: float, off: Array, reject_sigmas: float) -> bool:
+    """Whether the chi-square of all that is used is one, `rest` that of all but ranges: see `_MISFIT_SIGMAS`.
+
+    Every other variable has measurements of its own, so that there is a degree of freedom for each range. Of reflected
+    ranges about as many as are left out are amiss by less, and stay: half the square of the gate each.
+    """
+    used = off[off <= reject_sigmas]
+    small = (len(off) - len(used)) * reject_sigmas**2 / 2
+    return bool(rest + np.square(used).sum() < len(used) + small + _MISFIT_SIGMAS * np.sqrt(2 * len(used)))
 
 
 def _freed(problem: Problem, a: int) -> Problem:
