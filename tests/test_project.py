@@ -99,6 +99,7 @@ FLOORS = (
         "graphnav.stops",
         "graphnav.face_line",
         "graphnav.creep",
+        "graphnav.anchor_doubt",
         "graphnav.range_outcome",
         "graphnav.range_rounds",
         "graphnav.camera_outcome",

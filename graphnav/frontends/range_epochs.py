@@ -69,9 +69,9 @@ class RangeEpochs:
 
 def total_sigma(uwb: Uwb) -> Array:
     """Sigma (A,) of a single range: white, Markov and constant error, and that of its anchor's survey."""
-    parts = [uwb.sigma_m, uwb.markov_sigma_m or 0.0, uwb.bias_sigma_m or 0.0]
+    parts = [uwb.sigma_m, uwb.markov_sigma_m or 0.0]
     survey = np.array([anchor.sigma_m for anchor in uwb.anchor])
-    return np.asarray(np.sqrt(np.sum(np.square(parts)) + survey**2))
+    return np.asarray(np.sqrt(np.sum(np.square(parts)) + uwb.constant_sigma_m**2 + survey**2))
 
 
 def range_epochs(log: SensorLog, span_s: float | None = None) -> RangeEpochs:
