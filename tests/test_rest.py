@@ -198,6 +198,11 @@ def test_logs_without_motion_sensors_or_with_very_few_rows():
             assert check_units(view, NO_SPANS) == []
 
 
+def test_an_imu_without_noise_has_no_floor_to_find_rest_by():
+    log = simulate_roadheader("roadheader-stereo", dataclasses.replace(ROADHEADER, images=False), 0, noise=False)
+    assert len(rest_spans(log)) == 1  # the declared one
+
+
 def test_spans_as_sets():
     a, b = np.array([[0.0, 2], [3, 5], [6, 9]]), np.array([[1.0, 4], [7, 8], [9, 10]])
     np.testing.assert_array_equal(sp.intersect(a, b), [[1, 2], [3, 4], [7, 8]])

@@ -164,7 +164,7 @@ def _clear(gyro: quiet.Blocks, accel: quiet.Blocks, densities: tuple[float, floa
     loud = []
     for blocks, density in zip((gyro, accel), densities, strict=True):
         gapless, threshold = blocks.gapless(_WINDOW_S), _threshold(blocks)
-        if not gapless.any() or threshold > _LEVEL_RATIO * 3 * density / np.sqrt(dt_s):
+        if not 0 < threshold <= _LEVEL_RATIO * 3 * density / np.sqrt(dt_s):
             return 0
         loud.append(blocks.level(_WINDOW_S)[gapless] / threshold)
     if not all((values > 1).any() for values in loud):
