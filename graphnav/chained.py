@@ -25,6 +25,7 @@ from graphnav.chain_graph import (
 from graphnav.chain_problem import ChainProblem, pose_chain
 from graphnav.chain_ranges import SCALE, anchor_calibration, chain_readings, heard, placed, rejected_by_anchor
 from graphnav.config import Config
+from graphnav.costs import parted, suspects
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
@@ -86,11 +87,13 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
         graph = chain_graph(problem, readings, ranges, camera)
         values = chain_values(problem, way, readings, ranges, camera)
     rejected: dict[str, int] = {}
+    heard_apart, left_out = None, None
     with stages.stage("solve") as tick:
         if ranges is not None and config.uwb.loss != "none":
             values, fit = agreeing_ranges(graph, config.uwb, values)
-            graph = replace(graph, ranges=ranges.family.only(fit))
-            rejected = rejected_by_anchor(problem, ranges.only(~fit))
+            heard_apart, ranges = ranges.only(~fit), ranges.only(fit)
+            graph = replace(graph, ranges=ranges.family)
+            rejected = rejected_by_anchor(problem, heard_apart)
         if camera is not None:
             values, camera, left_out = agreeing_camera(graph, config, camera, values)
             graph = graph.seen_by(camera)
@@ -104,7 +107,8 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
             progress=tick,
         )
     if not result.converged:
-        raise SolveError.not_converged(len(result.iterations), result.iterations[-1].step_sigmas)
+        found = suspects(graph, result.values, parted((ranges, heard_apart), (camera, left_out)))
+        raise SolveError.not_converged(len(result.iterations), result.iterations[-1].step_sigmas, suspects=found)
     with stages.stage("covariance") as tick:
         blocks = _covariances(problem, result, tick) if config.covariance else None
     trajectory = _trajectory(problem, result.values, blocks)

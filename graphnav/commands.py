@@ -93,6 +93,7 @@ def simulate(arguments: argparse.Namespace) -> None:
     options = {name: value for name, value in given.items() if value is not None}
     if "sensors" in options:
         options["sensors"] = tuple(name.strip() for name in options["sensors"].split(","))
+    _check_options(arguments.scenario, options)
     with working("simulating"):
         log = simulate_log(arguments.scenario, seed=arguments.seed, **options)
     if log.stereo_pairs is None:
@@ -102,6 +103,19 @@ def simulate(arguments: argparse.Namespace) -> None:
         _write(log, arguments, partial(render_into, arguments.scenario, arguments.seed, options, progress=progress))
 
 
+def _check_options(scenario: str, options: dict[str, Any]) -> None:
+    """Refuse what a scenario does not take, by the names that the command line has for it."""
+    from graphnav.simulation import SCENARIOS
+
+    taken = SCENARIOS.get(scenario, {"options": options})["options"]
+    flags = {name: f"--{name.removesuffix('_m').replace('_', '-')}" for name in (*options, *taken)}
+    for name in options:
+        if name not in taken:
+            raise GraphnavError(
+                f"{scenario} takes no {flags[name]}; it takes {', '.join(flags[each] for each in taken)}"
+            )
+
+
 def smooth(arguments: argparse.Namespace) -> None:
     """Smooth a log to a run folder."""
     from graphnav.report import results
@@ -109,6 +123,7 @@ def smooth(arguments: argparse.Namespace) -> None:
     from graphnav.smooth import smooth as smooth_log
 
     results.check_folder(arguments.output, overwrite=arguments.overwrite)
+    results.check_writable(arguments.output)
     config = _config(arguments)
     begun = time.perf_counter()
     log = _read(arguments.log)

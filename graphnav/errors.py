@@ -81,11 +81,19 @@ class SolveError(GraphnavError):
         return cls.undetermined(ord(found[1]) << 56 | int(found[2]))
 
     @classmethod
-    def not_converged(cls, iterations: int, step_sigmas: float, also: str = "") -> SolveError:
-        """The error for a solution that still moved when the iterations ended; `also` : what else to check."""
+    def not_converged(cls, iterations: int, step_sigmas: float, also: str = "", suspects: str = "") -> SolveError:
+        """The error for a solution that still moved when the iterations ended.
+
+        Sound logs converge: too few iterations are the last thing to think of.
+
+        Parameters
+        ----------
+        also : what else to check; suspects : what of the log stands out.
+        """
+        first = f" first: {suspects}" if suspects else " first"
         return cls(
-            f"not converged after {iterations} iterations (last step {step_sigmas:.3g} sigma);"
-            f" raise batch.max_iterations, or check the log's sigmas{also}"
+            f"not converged after {iterations} iterations (last step {step_sigmas:.3g} sigma); check the log's sigmas"
+            f"{also}{first}; if they are right raise batch.max_iterations"
         )
 
     @classmethod

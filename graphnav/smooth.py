@@ -155,7 +155,7 @@ def _by_graph(problem: Problem, method: str, stages: Stages) -> Run:
         steps = solved.result.iterations
         also = "" if solved.ranges is None else " and the positions of its UWB anchors"
         also += "" if solved.doubt is None else ", whose ranges contradict each other"
-        raise SolveError.not_converged(len(steps), steps[-1].step_sigmas, also)
+        raise SolveError.not_converged(len(steps), steps[-1].step_sigmas, also, solved.suspects)
     with stages.stage("covariance") as tick:
         blocks = covariances(problem, solved.result, tick) if problem.config.covariance else None
         ends = stops(problem, solved.result) if problem.config.covariance else None

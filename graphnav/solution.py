@@ -18,6 +18,7 @@ from graphnav._stages import Stages
 from graphnav.agreement import agreeing_camera, agreeing_ranges
 from graphnav.anchor_doubt import ContradictionError, Doubt, contradicting, doubted
 from graphnav.camera import Camera, camera_readings
+from graphnav.costs import parted, suspects
 from graphnav.errors import SolveError
 from graphnav.frontends.range_epochs import is_unknown, start_position
 from graphnav.graph import FactorAt, SmoothingGraph, build_factors, build_graph
@@ -56,6 +57,7 @@ class Solved:
     biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
     clock : with which the ranges were carried.
     clock_score : what the ranges say of a time offset that is no variable, or None.
+    suspects : where it did not converge, what of the log stands out.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
     camera : what the camera said that was used, or None; camera_left_out : what disagreed.
@@ -79,6 +81,7 @@ class Solved:
     clock: RangeClock = field(default_factory=RangeClock)
     clock_score: ClockScore | None = None
     doubt: Doubt | None = None
+    suspects: str = ""
 
 
 def solve_batch(problem: Problem, stages: Stages) -> Solved:
@@ -241,10 +244,12 @@ def _rounds(
             score = clock_score(
                 problem, graph, ranges, smoothed_trajectory(problem, result.values, None), result.values
             )
+    apart = parted((ranges, ranges_left_out), (camera, camera_left_out))
+    suspected = "" if result.converged else suspects(graph, result.values, apart)
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
     return Solved(
         result, data, better, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances,
-        clock_moved=clock_moved, clock=problem.clock, clock_score=score,
+        clock_moved=clock_moved, clock=problem.clock, clock_score=score, suspects=suspected,
     )  # fmt: skip
 
 

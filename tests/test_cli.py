@@ -106,7 +106,14 @@ def test_wrong_use_is_one_line_and_status_2(words: list[str], said: str, capsys:
         (["smooth", "nowhere", "-o", "run"], "nowhere"),
         (["evaluate", "nowhere", "nowhere"], "trajectory.parquet"),
         (["simulate", "moonwalk", "-o", "log"], "moonwalk"),
-        (["simulate", "shearer-mems", "--hours", "1", "-o", "log"], "hours"),
+        (
+            ["simulate", "shearer-mems", "--hours", "1", "-o", "log"],
+            "shearer-mems takes no --hours; it takes --interval, --par, --sensors\n",
+        ),
+        (
+            ["simulate", "face-end-uwb", "--cycles", "2", "-o", "log"],
+            "takes no --cycles; it takes --site, --nlos-share",
+        ),
         (["compare", "nowhere"], "nowhere"),
         (["compare", "nowhere", "--methods", "batch,magic"], 'unknown method "magic"'),
         (["compare", "nowhere", "--methods", ","], "no method given"),
@@ -307,6 +314,15 @@ def test_output_that_may_not_be_replaced_is_refused_before_the_work(
     assert "holds notes.txt" in capsys.readouterr().err
     assert cli.main(["smooth", str(shift), "-o", str(shift), "--overwrite"]) == 2
     assert "never replaced" in capsys.readouterr().err
+    (tmp_path / "file").write_text("mine")
+    for place in ("/proc/none/run", str(tmp_path / "file" / "deep" / "run")):
+        assert cli.main(["smooth", str(shift), "-o", place]) == 2
+        assert f"{place}: cannot write the run folder (" in capsys.readouterr().err
+
+
+def test_trying_the_output_leaves_nothing_behind(tmp_path: Path) -> None:
+    results.check_writable(tmp_path / "deep" / "run")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_unexpected_has_status_1_and_advice(

@@ -80,6 +80,7 @@ FLOORS = (
         "graphnav.observability",
         "graphnav.leg_agreement",
         "graphnav.agreement",
+        "graphnav.costs",
         "graphnav.range_clock",
     },
     {

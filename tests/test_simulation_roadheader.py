@@ -339,7 +339,10 @@ def test_the_command_line_writes_images_with_the_log_or_neither(
     assert cli.main(line) == 0
     assert (target / "left" / "000000.png").exists()
     assert cli.main(line) == 2
-    assert "holds left, which is no part of a log; choose another folder, or overwrite" in capsys.readouterr().err
+    assert (
+        "holds left, which is no part of a log; choose another folder, or replace all of it with --overwrite"
+        in capsys.readouterr().err
+    )
     (target / "left" / "000001.png").write_bytes(b"")
     assert cli.main([*line, "--overwrite"]) == 0
     assert [path.name for path in (target / "left").iterdir()] == ["000000.png"]

@@ -16,6 +16,8 @@ from graphnav.readers.folder import check_pairs
 from graphnav.readers.sections import CACHE_FOLDER, LOG_FILE
 from graphnav.readers.tables import SUFFIXES, write_table
 
+_OVERWRITE = "choose another folder, or replace all of it with --overwrite (in Python overwrite=True)"
+
 
 def write(
     log: SensorLog,
@@ -70,7 +72,7 @@ def _check_target(target: Path, overwrite: bool) -> None:
     others = sorted(p.name for p in target.iterdir() if not _is_log_file(p))
     if others:
         problem = f"the folder holds {others[0]}, which is no part of a log"
-        raise LogError(problem, where=str(target), fix="choose another folder, or overwrite it explicitly")
+        raise LogError(problem, where=str(target), fix=_OVERWRITE)
 
 
 def _is_log_file(path: Path) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
@@ -93,7 +94,7 @@ def save(
             plot(run.ranges, beside / "ranges.png")  # type: ignore[attr-defined]
         _move_into_place(beside, target)
     except OSError as error:
-        raise GraphnavError(f"{target}: cannot write the run folder ({error.strerror or error})") from error
+        raise _unwritable(target, error) from error
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return target
@@ -167,6 +168,26 @@ def check_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
             "--overwrite to replace all of it"
         )
     return target
+
+
+def check_writable(folder: str | Path) -> None:
+    """Try whether a run folder can be made: to be told after an hour of smoothing that it cannot is late.
+
+    Raises
+    ------
+    GraphnavError
+        The nearest folder above it that exists takes no new folder.
+    """
+    target = Path(folder).resolve()
+    above = next(place for place in target.parents if place.exists())
+    try:
+        Path(tempfile.mkdtemp(prefix=f".{target.name}.trying-", dir=above)).rmdir()
+    except OSError as error:
+        raise _unwritable(target, error) from error
+
+
+def _unwritable(target: Path, error: OSError) -> GraphnavError:
+    return GraphnavError(f"{target}: cannot write the run folder ({error.strerror or error})")
 
 
 def _summary(run: RunLike, evaluation: Evaluation | None) -> dict[str, Any]:
