@@ -193,7 +193,10 @@ VALUES = {
     ),
     "image outside": (
         text("stereo.csv", "t_s,left,right\n0,a.png,b.png\n1,c.png,right/../../b.png\n"),
-        ['shift_042/stereo.csv, row 2, right: "right/../../b.png"', "and within it; put the images into the log folder"],
+        [
+            'shift_042/stereo.csv, row 2, right: "right/../../b.png"',
+            "and within it; put the images into the log folder",
+        ],
     ),
     "image outside as in Windows": (
         text("stereo.csv", "t_s,left,right\n0,..\\a.png,b.png\n"),
