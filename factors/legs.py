@@ -122,7 +122,7 @@ class LegFamily:
                 self.calibration_key[rows].tolist(), by_calibration, -error,
             )  # fmt: skip
             for x, by_x, leg, by_l, d, by_d, b in zip(*parts, strict=True):
-                linear.push_back(gtsam.JacobianFactor(x, by_x, leg, by_l, d, by_d, b, unit))
+                linear.add(x, by_x, leg, by_l, d, by_d, b, unit)
 
     def only(self, rows: npt_int) -> LegFamily:
         """Some of the readings."""

@@ -16,6 +16,8 @@ Indices = npt.NDArray[np.intp]
 
 _RPE_DISTANCES_M = (10.0, 100.0, 1000.0)
 _RPE_TOLERANCE = 0.1  # a pair may be this fraction longer or shorter than the stated length
+_TOLD_SIGMAS = 3.0
+_ROUNDING = 1e-12  # of a coordinate: a path made straight
 _SLACK = 1e-6  # s or m: times that were rounded to microseconds still meet
 
 
@@ -129,6 +131,21 @@ def alignment(pos: Array, onto: Array) -> tuple[Array, Array]:
     reflect = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = u @ reflect @ vt
     return rotation, target - rotation @ centre
+
+
+def turns_about_line(pos: Array, onto: Array) -> bool:
+    """Whether positions say how a path is turned about its own straight line: `pos` (N, 3) aligned, `onto` truth.
+
+    With offsets of rms r from the line and errors of rms e across it, the best turn about it is off by about e / r rad.
+    Where r is below three sigmas of these errors, it is no more than a fit of them.
+    """
+    centred = onto - onto.mean(axis=0)
+    spread, axes = np.linalg.svd(centred, full_matrices=False)[1:]
+    beside = float(np.hypot(*spread[1:])) if len(spread) > 2 else 0.0
+    error = pos - onto
+    across = float(np.linalg.norm(error - np.outer(error @ axes[0], axes[0])))
+    rounding = _ROUNDING * float(np.linalg.norm(onto))
+    return beside > max(_TOLD_SIGMAS * across, rounding)
 
 
 def resolved_distance(travelled: Array) -> float:

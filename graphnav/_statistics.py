@@ -46,11 +46,11 @@ class AbsolutePoseError:
     Attributes
     ----------
     translation_rms_m : of the norm of the translation.
-    rotation_rms_deg : of the angle of the rotation.
+    rotation_rms_deg : of the angle of the rotation; None after an alignment that is left open about a straight path.
     """
 
     translation_rms_m: float
-    rotation_rms_deg: float
+    rotation_rms_deg: float | None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers."""
@@ -61,7 +61,8 @@ def absolute_error(pos: Array, quat: Array, pos_true: Array, quat_true: Array, *
     """Absolute pose error of positions (N, 3) and quaternions (N, 4).
 
     With `aligned` the estimate is first moved as one rigid body, positions and attitudes together, so that its
-    positions fit those of truth best.
+    positions fit those of truth best. Along a straight line they do not say how it is turned about that line, and the
+    attitudes' error is then unknown.
     """
     from scipy.spatial.transform import Rotation
 
@@ -69,6 +70,8 @@ def absolute_error(pos: Array, quat: Array, pos_true: Array, quat_true: Array, *
         rotation, shift = metrics.alignment(pos, pos_true)
         pos = pos @ rotation.T + shift
         quat = (Rotation.from_matrix(rotation) * Rotation.from_quat(quat, scalar_first=True)).as_quat(scalar_first=True)
+        if not metrics.turns_about_line(pos, pos_true):
+            return AbsolutePoseError(metrics.rms_norm(pos - pos_true), None)
     angle = metrics.rms_norm(metrics.attitude_error(quat, quat_true))
     return AbsolutePoseError(metrics.rms_norm(pos - pos_true), float(np.rad2deg(angle)))
 

@@ -148,12 +148,12 @@ def evaluate(arguments: argparse.Namespace) -> None:
     """Judge a run by the truth in its log."""
     from graphnav.evaluation import evaluate as judge
     from graphnav.report.plots import plot_run
-    from graphnav.report.results import load
+    from graphnav.report.results import load, log_of
     from graphnav.report.terminal import evaluation_tables
 
     trajectory = load(arguments.folder)
     log = _read(arguments.log)
-    evaluation = judge(trajectory, log)
+    evaluation = judge(trajectory, log, run_of=log_of(arguments.folder))
     if arguments.plot is not None:
         plot_run(trajectory, log, arguments.plot, evaluation)
     if arguments.json:

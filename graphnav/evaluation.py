@@ -17,6 +17,7 @@ import numpy as np
 
 from graphnav import _metrics as metrics
 from graphnav._consistency import one_run_band
+from graphnav._coverage import notes_of_another_log, notes_of_coverage, span
 from graphnav._cycles import CycleError, cycle_errors, sep
 from graphnav._metrics import RelativePoseError
 from graphnav._schema import Array
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 ATT, POS = slice(0, 3), slice(3, 6)  # blocks of the 9x9 covariance
 RPE_TIME_S = 10.0
 _ON_ROW_S = 1e-3
+#: Note where positions leave the alignment open.
+STRAIGHT = "a straight path, or none, does not say how it is turned about its line: APE aligned has no rotation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +149,8 @@ class Evaluation:
                 "attitude_deg": AxisStatistics.of(np.rad2deg(self.att_error_b_rad)).to_dict(),
             },
             "keyframes": {"judged": len(self.t_s), "of": self.keyframes_total},
-            "span_s": [float(self.t_s[0]), float(self.t_s[-1])],
+            # to the nanosecond: a first time of 2e-16 is what is left of 0.01 less a sampling interval
+            "span_s": [round(float(t), 9) for t in (self.t_s[0], self.t_s[-1])],
             "notes": list(self.notes),
         }
 
@@ -172,6 +176,7 @@ def evaluate(
     log: SensorLog,
     rpe_distance_m: float | None = None,
     innovations: Innovations | None = None,
+    run_of: str | None = None,
 ) -> Evaluation:
     """Judge a trajectory by the truth in its log.
 
@@ -182,21 +187,23 @@ def evaluate(
     rpe_distance_m : distance travelled between the two poses of a relative pose error. By default the first
         of 10, 100 and 1000 m that the spacing of the keyframes resolves to 10 %.
     innovations : of a Kalman filter (`Run.innovations`), for the NIS.
+    run_of : name of the log that the trajectory was estimated from (`Run.log_name`), None where it is not known.
 
     Raises
     ------
     GraphnavError
-        No truth, no keyframe that it covers, or a covariance that is no covariance.
+        No truth, no keyframe that it covers, a covariance that is no covariance, or the log is not the run's own.
     LogError
         Events that do not pair up.
     """
     if log.truth is None:
         raise GraphnavError(f"log {log.name} has no truth table to judge by; add truth.parquet or truth.csv")
+    foreign = notes_of_another_log(trajectory.t_s, log, run_of)
     judged, pos_true, quat_true = metrics.truth_at(log.truth, trajectory.t_s)
     if not judged.any():
         raise GraphnavError(
-            f"log {log.name}: truth covers {_span(log.truth.t_s)} and no keyframe of the run, "
-            f"{_span(trajectory.t_s)}; evaluate the run against its own log"
+            f"log {log.name}: truth covers {span(log.truth.t_s)} and no keyframe of the run, "
+            f"{span(trajectory.t_s)}; evaluate the run against its own log"
         )
     t_s, pos, quat = trajectory.t_s[judged], trajectory.pos_n[judged], trajectory.quat_nb[judged]
     error, att_error = pos - pos_true, metrics.attitude_error(quat, quat_true)
@@ -205,6 +212,8 @@ def evaluate(
     travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pos_true, axis=0), axis=1))])
     distance = rpe_distance_m or metrics.resolved_distance(travelled)
     poses = (pos, quat, pos_true, quat_true)
+    aligned = absolute_error(*poses, aligned=True)
+    straight = (STRAIGHT,) if aligned.rotation_rms_deg is None else ()
     return Evaluation(
         t_s=t_s,
         error_n_m=error,
@@ -215,7 +224,7 @@ def evaluate(
         nees_axes=None if cov is None else metrics.nees_axes(error, cov[:, POS, POS]),
         nees_attitude=None if cov is None else _attitude_nees(log, t_s, att_error, cov[:, ATT, ATT]),
         ape={
-            "aligned": absolute_error(*poses, aligned=True),
+            "aligned": aligned,
             "unaligned": absolute_error(*poses, aligned=False),
         },
         rpe={
@@ -223,7 +232,7 @@ def evaluate(
             "time": metrics.relative_error(t_s, RPE_TIME_S, "s", *poses),
         },
         nis=None if innovations is None else innovations.to_dict(),
-        notes=notes,
+        notes=(*foreign, *notes_of_coverage(judged), *notes, *straight),
     )
 
 
@@ -252,7 +261,7 @@ def withheld_error(trajectory: Trajectory, position: Position) -> WithheldError:
     """
     inside = (position.t_s >= trajectory.t_s[0]) & (position.t_s <= trajectory.t_s[-1])
     if not inside.any():
-        raise GraphnavError(f"no withheld position in the trajectory's span, {_span(trajectory.t_s)}")
+        raise GraphnavError(f"no withheld position in the trajectory's span, {span(trajectory.t_s)}")
     t_s = position.t_s[inside]
     estimate = trajectory.at(t_s)
     error = estimate.pos_n - position.pos_n_m[inside]
@@ -269,7 +278,3 @@ def withheld_error(trajectory: Trajectory, position: Position) -> WithheldError:
         median_3d_m=float(np.median(norm)),
         nees_position=consistency,
     )
-
-
-def _span(t_s: Array) -> str:
-    return f"{t_s[0]:.3f} to {t_s[-1]:.3f} s"

@@ -9,6 +9,7 @@ import numpy as np
 
 from factors import closed_path, inertial, odometry, position, stationary
 from factors.advance import AdvanceFamily
+from factors.condensed_points import Condensed
 from factors.legs import LegFamily
 from factors.mounted_motion import MotionFamily
 from factors.noise import diagonal
@@ -69,6 +70,17 @@ class SmoothingGraph:
 
     def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
         """Whitened linear factors of everything."""
+        linear = self._without_tracks(values)
+        if self.tracks is not None:
+            self.tracks.linearize_into(linear, values)
+        return linear
+
+    def condensed(self, values: gtsam.Values) -> tuple[gtsam.GaussianFactorGraph, Condensed | None]:
+        """The same with the points of tracked features eliminated, and these points."""
+        linear = self._without_tracks(values)
+        return linear, None if self.tracks is None else self.tracks.condense_into(linear, values)
+
+    def _without_tracks(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
         linear = self.native.linearize(values)
         if self.displacements is not None:
             self.displacements.linearize_into(linear, values)
@@ -80,8 +92,6 @@ class SmoothingGraph:
             self.ranges.linearize_into(linear, values)
         if self.motions is not None:
             self.motions.linearize_into(linear, values)
-        if self.tracks is not None:
-            self.tracks.linearize_into(linear, values)
         return linear
 
 

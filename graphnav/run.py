@@ -150,6 +150,7 @@ class Run:
     innovations : with a Kalman filter, those of its forward pass; else None.
     stops : from a graph with covariances, the ends of the cuts and their joint covariance; else None.
     ranges : from a graph with UWB ranges, what it leaves of each; else None.
+    log_name : name of the log that it was made of.
     """
 
     trajectory: Trajectory
@@ -161,6 +162,7 @@ class Run:
     innovations: Innovations | None = None
     stops: Stops | None = None
     ranges: RangeResiduals | None = None
+    log_name: str = ""
 
     def save(self, folder: str | Path, **options: Any) -> None:
         """Write the result files to a folder, whole or not at all."""

@@ -29,6 +29,8 @@ from graphnav.range_outcome import (
     anchor_counts,
     clock_warnings,
     contradictory,
+    freed_warning,
+    geometry_warnings,
     range_residuals,
     range_warnings,
     rejected,
@@ -70,11 +72,14 @@ def smooth(
         raise ConfigError(f"{method} estimates no time offset of ranges: batch and isam2 do, or declare time_offset_s")
     stages = Stages(progress)
     log = _opened(log, stages)
+    return replace(_by_method(log, config or Config(), method, stages), log_name=log.name)
+
+
+def _by_method(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:
     if method in ("uwb", "uwb-vbukf"):
         from graphnav.ranged import run_ranges
 
-        return run_ranges(log, config or Config(), method, stages)
-    config = config or Config()
+        return run_ranges(log, config, method, stages)
     config = _looking(config, method, log)
     if method == "stereo":
         from graphnav.stereo_filtered import run_stereo
@@ -149,6 +154,7 @@ def _by_graph(problem: Problem, method: str, stages: Stages) -> Run:
     if not solved.result.converged:
         steps = solved.result.iterations
         also = "" if solved.ranges is None else " and the positions of its UWB anchors"
+        also += "" if solved.doubt is None else ", whose ranges contradict each other"
         raise SolveError.not_converged(len(steps), steps[-1].step_sigmas, also)
     with stages.stage("covariance") as tick:
         blocks = covariances(problem, solved.result, tick) if problem.config.covariance else None
@@ -173,9 +179,14 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     counts, residuals = [], None
     if solved.ranges is not None and problem.log.uwb is not None:
         counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
-        of_anchors = range_warnings(problem.log.uwb, counts, found)
+        may_be = () if solved.doubt is None else solved.doubt.anchors
+        freed = None if solved.doubt is None else solved.doubt.problem
+        uwb = problem.log.uwb if freed is None or freed.log.uwb is None else freed.log.uwb
+        of_anchors = range_warnings(uwb, counts, found, may_be)
+        noted += [] if freed is None else [freed_warning(may_be[0], found)]
         score = None if contradictory(of_anchors) else solved.clock_score
-        noted += of_anchors + clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
+        noted += geometry_warnings(problem.log.uwb) + of_anchors
+        noted += clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
     left_out = rejected(counts)
     if solved.camera is not None and solved.camera_left_out is not None:

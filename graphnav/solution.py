@@ -16,7 +16,9 @@ from factors.so3 import Array
 from graphnav._memory import release
 from graphnav._stages import Stages
 from graphnav.agreement import agreeing_camera, agreeing_ranges
+from graphnav.anchor_doubt import ContradictionError, Doubt, contradicting, doubted
 from graphnav.camera import Camera, camera_readings
+from graphnav.errors import SolveError
 from graphnav.frontends.range_epochs import is_unknown, start_position
 from graphnav.graph import FactorAt, SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
@@ -59,6 +61,7 @@ class Solved:
     camera : what the camera said that was used, or None; camera_left_out : what disagreed.
     advances : pairs of legs tied by the push of their support, or None.
     causal : the states that an incremental solver knew from the past alone, or None.
+    doubt : where ranges contradicted each other, which anchor may be wrong; else None.
     """
 
     result: batch.BatchResult
@@ -75,6 +78,7 @@ class Solved:
     clock_moved: bool = False
     clock: RangeClock = field(default_factory=RangeClock)
     clock_score: ClockScore | None = None
+    doubt: Doubt | None = None
 
 
 def solve_batch(problem: Problem, stages: Stages) -> Solved:
@@ -143,12 +147,45 @@ def _solve_rounds(
     values: gtsam.Values,
     predicted: list[gtsam.NonlinearFactor],
 ) -> Solved:
+    """Solve; where ranges contradict each other, and one anchor's constant explains it, with that constant free."""
+    import gtsam
+
+    if not uses_ranges(problem) or problem.config.uwb.loss == "none":
+        return _rounds(problem, stages, data, values, predicted)
+    began = gtsam.Values(values)
+    try:
+        return _rounds(problem, stages, data, values, predicted, wary=True)
+    except (ContradictionError, SolveError) as error:
+        doubt = doubted(problem, stages, data, gtsam.Values(began))
+        if doubt.problem is None and not isinstance(error, ContradictionError):
+            raise
+    if doubt.problem is None or doubt.values is None:
+        solved = _rounds(problem, stages, data, began, predicted)
+    else:
+        solved = _rounds(doubt.problem, stages, data, doubt.values, predicted)
+    solved.doubt = doubt
+    return solved
+
+
+def _rounds(
+    problem: Problem,
+    stages: Stages,
+    data: Preintegrated,
+    values: gtsam.Values,
+    predicted: list[gtsam.NonlinearFactor],
+    wary: bool = False,
+) -> Solved:
     """Solve; where the biases moved too far for first-order correction, preintegrate at the better ones and repeat.
 
     Parameters
     ----------
     data, values : condensed sensor data and the values to start from.
     predicted : absolute closed-path priors that iSAM2 made on its way; batch makes its own where there are none.
+    wary : whether to stop where ranges contradict each other.
+
+    Raises
+    ------
+    ContradictionError : they do.
     """
     config, lidar = problem.config.batch, problem.log.lidar
     problem, values = on_the_clock(problem, stages, data, values)
@@ -169,6 +206,8 @@ def _solve_rounds(
         with stages.stage("solve") as tick:
             if ranges is not None and problem.config.uwb.loss != "none":
                 values, fit = agreeing_ranges(graph, problem.config.uwb, values)
+                if wary and contradicting(problem, ranges, fit, values):
+                    raise ContradictionError
                 ranges_left_out, ranges = ranges.only(~fit), ranges.only(fit)
                 graph = replace(graph, ranges=ranges.family)
             if camera is not None:

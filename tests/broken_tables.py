@@ -171,6 +171,18 @@ VALUES = {
         cell("lidar_points", 1, "range_m", "0"),
         ["lidar_points.csv, row 1, range_m: value 0.0", "above zero"],
     ),
+    "angle in degrees": (
+        cell("lidar_points", 2, "angle_rad", "-35.5"),
+        ["lidar_points.csv, row 2, angle_rad: value -35.5, expected an angle within a turn", "in degrees?"],
+    ),
+    "start in degrees": (
+        parquet("lidar_scans", t_s=[0.0], angle_min_rad=[-135.0], angle_step_rad=[0.25], ranges_m=[[1.0] * 1081]),
+        ["lidar_scans.parquet, row 1, angle_min_rad: value -135", "in degrees?"],
+    ),
+    "step in degrees": (
+        parquet("lidar_scans", t_s=[0.0], angle_min_rad=[-2.356], angle_step_rad=[0.25], ranges_m=[[1.0] * 1081]),
+        ["lidar_scans.parquet, row 1, angle_step_rad: value 0.25, by which 1081 beams cover 270.2 rad", "in degrees?"],
+    ),
     "zero sigma": (
         cell("position", 3, "sigma_y_m", "0"),
         ["position.csv, row 3, sigma_y_m: value 0.0", "above zero"],

@@ -148,7 +148,7 @@ def test_info_prints_json_alone(shift: Path, capsys: pytest.CaptureFixture[str])
 
 def test_smooth_writes_a_run_with_its_figures(shift: Path, run: Path) -> None:
     summary = json.loads((run / "summary.json").read_text())
-    assert summary["converged"] is True and summary["method"] == "batch"
+    assert summary["converged"] is True and summary["method"] == "batch" and summary["log"] == read(shift).name
     assert summary["seconds"]["read"] > 0
     assert summary["seconds"]["total"] >= summary["seconds"]["read"] + summary["seconds"]["solve"]
     assert summary["keyframes"] == len(results.load(run))
@@ -196,6 +196,17 @@ def test_evaluate_prints_the_keys_of_the_interface(
     assert cli.main(["evaluate", str(run), str(shift)]) == 0
     out, err = capsys.readouterr()
     assert out == "" and "NEES" in err and "APE" in err and "SEP" in err
+
+
+def test_evaluate_refuses_a_log_that_the_run_is_not_of(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other"
+    assert cli.main(["simulate", "full-shift", "--hours", "0.02", "--seed", "3", "-o", str(other)]) == 0
+    capsys.readouterr()
+    assert cli.main(["evaluate", str(run), str(other), "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and "evaluate a run against its own log" in err
 
 
 def test_compare_prints_the_rows_of_the_interface(

@@ -8,10 +8,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from graphnav._consistency import OverRuns, band, false_alarm
+from graphnav._coverage import span
 from graphnav._metrics import align, nees, truth_at, truth_states
 from graphnav.baselines.innovations import Innovations
 from graphnav.errors import GraphnavError, LogError
-from graphnav.evaluation import evaluate, withheld_error
+from graphnav.evaluation import STRAIGHT, evaluate, withheld_error
 from graphnav.log import Events, Frames, Position, SensorLog, Truth
 from graphnav.report.terminal import evaluation_tables
 from graphnav.trajectory import Trajectory
@@ -184,7 +185,7 @@ def test_cycles_sep_is_the_median_norm_in_each_cut() -> None:
     np.testing.assert_allclose(found.per_cycle[1].max_m, [0.0, 0.7, 0.0], atol=1e-12)
     row = found.to_dict()["per_cycle"][0]
     assert list(row) == ["cycle", "sep_m", "max_m"]
-    assert found.notes == ()
+    assert found.notes == (STRAIGHT,)
 
 
 def test_cycle_that_truth_covers_in_part_is_noted() -> None:
@@ -193,7 +194,7 @@ def test_cycle_that_truth_covers_in_part_is_noted() -> None:
     t = np.arange(31.0)
     run = Trajectory(t, np.zeros((31, 3)), np.tile(IDENTITY, (31, 1)), np.zeros((31, 3)))
     found = evaluate(run, make_log(truth, events))
-    assert found.notes == ("cycle 1: judged over 5 s of 10 s",)
+    assert found.notes == ("cycle 1: judged over 5 s of 10 s", STRAIGHT)
     assert found.to_dict()["keyframes"] == {"judged": 16, "of": 31}
     assert found.to_dict()["span_s"] == [0.0, 15.0]
 
@@ -311,6 +312,23 @@ def test_alignment_turns_attitudes_with_the_positions() -> None:
     assert ape["aligned"].rotation_rms_deg == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.parametrize(("beside_m", "known"), [(0.0, False), (0.05, False), (0.5, True)])
+def test_a_straight_path_does_not_say_how_it_is_turned_about_its_line(beside_m: float, known: bool) -> None:
+    # Errors of 5 cm across the line: offsets from it of rms 0.05 / sqrt(2) are lost in them, those ten times as large
+    # tell the turn about it to about a seventh of a radian.
+    t = np.arange(200.0)
+    pos = np.column_stack([beside_m * np.sin(t / 9), t, np.zeros(200)])
+    truth = Truth(t_s=t, pos_n_m=pos, quat_nb=np.tile(IDENTITY, (200, 1)))
+    error = 0.05 * np.random.default_rng(4).normal(size=(200, 3)) * [1, 0, 1]
+    found = evaluate(trajectory_of(truth, t, error), make_log(truth))
+    turn = found.ape["aligned"].rotation_rms_deg
+    assert (turn is not None) == known and (STRAIGHT in found.notes) != known
+    assert turn is None or turn < np.rad2deg(1 / 7)
+    assert found.ape["unaligned"].rotation_rms_deg == pytest.approx(0, abs=1e-9)
+    assert found.to_dict()["ape"]["aligned"]["rotation_rms_deg"] == turn
+    evaluation_tables(found)
+
+
 def test_true_velocities_are_the_derivative_of_the_true_positions() -> None:
     t = np.arange(0.0, 5.1, 0.5)
     pos = np.column_stack([t**3, 2 * t**2, -t])
@@ -364,3 +382,26 @@ def test_mean_over_runs_knows_its_scatter() -> None:
     assert OverRuns.of([]) is None
     assert OverRuns.of([1.2, 0.9]).standard_error is None
     assert OverRuns.of([1.2, 1.2, 1.2]).low is None
+
+
+def test_a_run_of_another_log_is_refused_or_told() -> None:
+    truth, t = straight_truth(), np.arange(101.0)
+    log, own = make_log(truth), trajectory_of(truth, t, np.zeros(3))
+    assert evaluate(own, log, run_of="made").notes == (STRAIGHT,)
+    assert evaluate(own, log).notes == (STRAIGHT,)  # a run of before, which does not tell
+    note, _ = evaluate(own, log, run_of="shearer").notes  # a copy of the log under another name, perhaps
+    assert "log shearer" in note and "log made" in note
+    longer = Trajectory(
+        np.arange(600.0), *(np.repeat(each[:1], 600, axis=0) for each in (own.pos_n, own.quat_nb, own.vel_n))
+    )
+    with pytest.raises(GraphnavError, match=r"log shearer, 0\.000 to 599\.000 s, and log made .* 0\.000 to 100"):
+        evaluate(longer, log, run_of="shearer")
+    note, _ = evaluate(longer, log, run_of="made").notes
+    assert note.startswith("truth covers 17 % of the keyframes")
+
+
+def test_times_are_told_without_what_rounding_leaves() -> None:
+    truth = straight_truth()
+    t = np.r_[2.13e-16, np.arange(1.0, 101.0)]
+    assert evaluate(trajectory_of(truth, t, np.zeros(3)), make_log(truth)).to_dict()["span_s"] == [0.0, 100.0]
+    assert span([-2e-17, 1e3 / 7]) == "0.000 to 142.857 s"

@@ -12,6 +12,7 @@ import graphnav as gn
 from graphnav.config import Config
 from graphnav.errors import LogError, SolveError
 from graphnav.evaluation import evaluate
+from graphnav.frontends.units import check_units
 from graphnav.log import SensorLog
 from graphnav.run import Run
 from graphnav.simulation import simulate
@@ -40,8 +41,56 @@ def test_two_anchors_without_a_start_are_refused() -> None:
 def test_two_anchors_with_a_known_start_serve() -> None:
     log = passing(1, anchors=ANCHORS[:2])
     without = gn.smooth(replace(log, truth=None), Config.from_dict({"uwb": {"use": False}}))
-    rms = [np.linalg.norm(evaluate(run.trajectory, log).rms_m) for run in (smoothed(log), without)]
+    run = smoothed(log)
+    rms = [np.linalg.norm(evaluate(each.trajectory, log).rms_m) for each in (run, without)]
     assert rms[0] < 0.5 * rms[1]
+    (line,) = run.diagnostics.warnings
+    assert "the 2 UWB anchors heard lie on one line" in line
+
+
+def test_what_three_anchors_on_a_line_cannot_tell_is_said() -> None:
+    line = np.array([1.0, 0.0, 1.0]) + np.outer(np.arange(3), [0.5, 1.0, 0.2])
+    for method in ("batch", "imu-uwb"):
+        run = gn.smooth(replace(passing(seconds=30.0, anchors=line), truth=None), method=method)
+        assert any("the 3 UWB anchors heard lie on one line" in each for each in run.diagnostics.warnings)
+
+
+def test_too_few_together_are_told_to_declare_a_position() -> None:
+    log = passing(seconds=20.0, known=False)
+    assert log.uwb is not None
+    rows = np.isin(log.uwb.anchor_id, ["1", "2"])
+    columns = {name: getattr(log.uwb, name)[rows] for name in ("t_s", "tag_id", "anchor_id", "range_m")}
+    with pytest.raises(LogError, match=r"no three anchors answer together.*declare pos_n_m and pos_sigma_m"):
+        smoothed(replace(log, uwb=replace(log.uwb, **columns)))
+
+
+@pytest.mark.parametrize(("per_metre", "refused"), [(100.0, True), (1000.0, True), (1.0, False)])
+def test_ranges_in_another_unit_are_refused(per_metre: float, refused: bool) -> None:
+    for log in (passing(seconds=20.0), passing(seconds=20.0, tag_start=(1.0, 40.0, 0.0))):
+        assert log.uwb is not None
+        found = check_units(with_ranges(log, log.uwb.range_m * per_metre), np.zeros((0, 2)))
+        assert len(found) == refused
+        assert not refused or "divide ranges in cm by 100" in found[0]
+
+
+def test_anchors_a_metre_off_are_no_other_unit() -> None:
+    log = passing(seconds=20.0)
+    for anchor in ("1", "2", "3", "4"):
+        assert check_units(with_ranges(log, off(log, anchor, 2.0)), np.zeros((0, 2))) == []
+
+
+@pytest.mark.parametrize("name", ["anchor", "tag"])
+def test_an_id_that_is_declared_twice_is_refused(name: str) -> None:
+    log = passing(seconds=20.0)
+    assert log.uwb is not None
+    declared = getattr(log.uwb, name)
+    with pytest.raises(LogError, match=rf'{name} "1" is declared twice.*keep one'):
+        replace(log.uwb, **{name: (*declared, declared[0])})
+
+
+def test_methods_without_ranges_say_so() -> None:
+    run = gn.smooth(replace(passing(seconds=20.0), truth=None), method="ekf")
+    assert "ekf does not use the table uwb: batch, isam2 and imu-uwb do" in run.diagnostics.warnings
 
 
 def test_anchors_on_a_line_without_a_start_are_refused() -> None:

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from graphnav._pool import in_order, leave_if_starting
 from graphnav._stages import ProgressHook
 from graphnav.errors import LogError
-from graphnav.frontends._pool import in_order, leave_if_starting
 from graphnav.frontends.image_pairs import PairFiles, pair_files
 from graphnav.frontends.image_size import image_size
 from graphnav.frontends.skipped_pairs import none_of_use

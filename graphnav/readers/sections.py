@@ -44,6 +44,16 @@ def hint(name: str, known: Iterable[str]) -> str:
     return f'did you mean "{close[0]}"{why}?'
 
 
+def _elsewhere(cls: type[Record], key: str) -> str:
+    """Advice for a choice of method in a section of the log that the configuration has by the same name."""
+    from graphnav.config import Config
+
+    section = Config.model_fields.get(cls.SECTION)
+    if section is None or key not in getattr(section.annotation, "model_fields", {}):
+        return ""
+    return f"{cls.SECTION}.{key} is a choice of method: give it in the configuration (--config FILE), not in the log"
+
+
 def _is_unit(suffix: str) -> bool:
     return set(suffix.strip("_").split("_")) <= _UNIT_WORDS
 
@@ -117,7 +127,7 @@ def params(cls: type[Record], values: Mapping[str, Any], where: str) -> dict[str
     fields = {f.name: f for f in cls.param_fields()}
     for key in values:
         if key not in fields:
-            raise LogError(f'unknown key "{key}"', where=where, fix=hint(key, fields))
+            raise LogError(f'unknown key "{key}"', where=where, fix=_elsewhere(cls, key) or hint(key, fields))
     for name, f in fields.items():
         if name not in values and f.default is dataclasses.MISSING:
             raise LogError("missing key", where=where, column=name, fix=f"add {name} to this section")

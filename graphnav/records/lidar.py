@@ -5,8 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from graphnav._schema import Array, Record, column, param
 from graphnav.records.rotation import unit_quaternion
+
+#: A turn, and a little for an offset taken off the angles; a scan covers two turns at most. More is degrees.
+_TURN_RAD = 2 * np.pi + 0.1
+_IN_DEGREES = "in degrees? multiply them by 0.0174533"
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,6 +26,10 @@ class LidarPoints(Record):
     range_m: Array = column("range_m", positive=True)
     angle_rad: Array = column("angle_rad")
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_degrees(self, "angle_rad")
+
 
 @dataclass(frozen=True, eq=False)
 class LidarScans(Record):
@@ -30,6 +40,28 @@ class LidarScans(Record):
     angle_min_rad: Array = column("angle_min_rad")
     angle_step_rad: Array = column("angle_step_rad")
     ranges_m: Any = column("ranges_m", kind="list")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _refuse_degrees(self, "angle_min_rad")
+        _refuse_degrees(self, "angle_step_rad")
+        beams = np.array([len(ranges) for ranges in self.ranges_m])
+        wide = np.abs(self.angle_step_rad) * beams > 2 * _TURN_RAD
+        if wide.any():
+            row = int(np.argmax(wide))
+            step = self.angle_step_rad[row]
+            problem = f"value {step:.6g}, by which {beams[row]} beams cover {abs(step) * beams[row]:.4g} rad"
+            raise self.error(f"{problem}, expected a turn or less", row=row, column="angle_step_rad", fix=_IN_DEGREES)
+
+
+def _refuse_degrees(record: Record, name: str) -> None:
+    """Refuse angles that are beyond a turn."""
+    angle = getattr(record, name)
+    beyond = np.abs(angle) > _TURN_RAD
+    if beyond.any():
+        row = int(np.argmax(beyond))
+        problem = f"value {angle[row]:.6g}, expected an angle within a turn, 6.283 rad"
+        raise record.error(problem, row=row, column=name, fix=_IN_DEGREES)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ place and renamed into it, so that a reader never meets half a result and a fail
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -139,6 +140,16 @@ def load(folder: str | Path) -> Trajectory:
     )
 
 
+def log_of(folder: str | Path) -> str | None:
+    """Name of the log that a run was made of; None where its summary.json does not tell."""
+    try:
+        known = json.loads((Path(folder) / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    name = known.get("log") if isinstance(known, dict) else None
+    return name if isinstance(name, str) else None
+
+
 def check_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     """The full path of a folder that a run may be written to; `GraphnavError` if it may not be replaced."""
     target = Path(folder).resolve()
@@ -161,6 +172,7 @@ def check_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
 def _summary(run: RunLike, evaluation: Evaluation | None) -> dict[str, Any]:
     known = run.diagnostics
     summary = {
+        **({"log": run.log_name} if getattr(run, "log_name", "") else {}),  # type: ignore[attr-defined]
         "method": known.method,
         "converged": bool(known.converged),
         "iterations": known.iterations,

@@ -110,7 +110,8 @@ def evaluation_tables(evaluation: Evaluation) -> None:
     share = dict(zip(PERCENT, evaluation.quantiles_m, strict=True))
     say(f"3-D error: SEP (median) {evaluation.sep_m:.3f} m, 90 % {share[90]:.3f} m, all {share[100]:.3f} m")
     for name, ape in evaluation.ape.items():
-        say(f"APE {name}: {ape.translation_rms_m:.3f} m, {ape.rotation_rms_deg:.4f} deg rms")
+        turn = "rotation unknown" if ape.rotation_rms_deg is None else f"{ape.rotation_rms_deg:.4f} deg rms"
+        say(f"APE {name}: {ape.translation_rms_m:.3f} m, {turn}")
     for rpe in evaluation.rpe.values():
         if rpe.translation_rms_m is not None and rpe.rotation_rms_deg is not None:
             say(
