@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -63,14 +62,13 @@ def _tracked(log: SensorLog, config: Config, progress: Progress | None) -> tuple
         return log, (note,) if note else ()
     from graphnav.frontends.image_pairs import pair_files
     from graphnav.frontends.image_size import size_note
+    from graphnav.frontends.skipped_pairs import skipped_notes
     from graphnav.frontends.stereo_tracks import tracked
 
     hook = None if progress is None else (lambda _, done, total: progress(done, total))
     found = tracked(log, config.stereo_tracks, progress=hook)
-    reasons = Counter(skipped.reason for skipped in found.skipped)
-    total = len(found.t_s) + len(found.skipped)
-    notes = tuple(f"{count} of {total} image pairs were not used: {reason}" for reason, count in reasons.most_common(3))
-    assert log.stereo is not None
+    assert log.stereo is not None and log.stereo_pairs is not None
+    notes = skipped_notes(log.stereo_pairs, found.skipped)
     size = size_note(pair_files(log), log.stereo)
     notes += (size,) if size else ()
     # what the front end adds to what the pair's calibration leaves

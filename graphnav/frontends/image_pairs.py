@@ -15,6 +15,8 @@ from graphnav.log import SensorLog, StereoPairs
 
 #: Grey levels between the darkest and the brightest hundredth, below which an image shows nothing but noise.
 _LEAST_CONTRAST = 6.0
+#: What to do where images are not found.
+FIX_FOLDER = "put the images where the stereo table says, relative to the log folder"
 
 
 class SkippedFrame(Exception):

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from graphnav.errors import LogError
-from graphnav.frontends.image_pairs import PairFiles, SkippedFrame, read_grey
+from graphnav.frontends.image_pairs import FIX_FOLDER, PairFiles, SkippedFrame, read_grey
 from graphnav.log import Stereo
 
 #: How far the principal point of a rectified pair is from the middle, as a share of width or height, without a word.
 _OFF_CENTRE = 0.1
-_FIX_FOLDER = "put the images where the stereo table says, relative to the log folder"
 _FIX_SIZE = "give [stereo] the calibration of images of this size"
 
 
@@ -33,7 +32,7 @@ def image_size(files: Sequence[PairFiles], camera: Stereo) -> tuple[int, int]:
             _check_size(camera, size, path)
             return size
     where = str(files[0].left) if files else "table stereo"
-    raise LogError(f"none of {len(files)} image pairs can be read", where=where, fix=_FIX_FOLDER)
+    raise LogError(f"none of {len(files)} image pairs can be read", where=where, fix=FIX_FOLDER)
 
 
 def _check_size(camera: Stereo, size: tuple[int, int], path: Path) -> None:
