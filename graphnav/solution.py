@@ -21,12 +21,13 @@ from graphnav.camera import Camera, camera_readings
 from graphnav.costs import parted, suspects
 from graphnav.errors import SolveError
 from graphnav.frontends.range_epochs import is_unknown, start_position
-from graphnav.graph import FactorAt, SmoothingGraph, build_factors, build_graph
+from graphnav.graph import SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.motions import guiding_readings
+from graphnav.native_factors import FactorAt
 from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, RangeClock, T, X

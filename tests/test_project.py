@@ -57,6 +57,7 @@ FLOORS = (
     },
     {
         "graphnav.graph",
+        "graphnav.native_factors",
         "graphnav.camera",
         "graphnav.motions",
         "graphnav.camera_errors",
