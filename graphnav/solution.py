@@ -26,6 +26,7 @@ from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.motions import guiding_readings
+from graphnav.mounting_score import MountingScore, mounting_score
 from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, RangeClock, T, X
@@ -55,7 +56,8 @@ class Solved:
     data : the condensed sensor data that it was solved with.
     biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
     clock : with which the ranges were carried.
-    clock_score : what the ranges say of a time offset that is no variable, or None.
+    clock_score : what the ranges say of a time offset that is no variable, or None; mounting_score : what all says of
+        the camera's angles that are none.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
     camera : what the camera said that was used, or None; camera_left_out : what disagreed.
@@ -78,6 +80,7 @@ class Solved:
     clock_moved: bool = False
     clock: RangeClock = field(default_factory=RangeClock)
     clock_score: ClockScore | None = None
+    mounting_score: MountingScore | None = None
     doubt: Doubt | None = None
 
 
@@ -241,10 +244,14 @@ def _rounds(
             score = clock_score(
                 problem, graph, ranges, smoothed_trajectory(problem, result.values, None), result.values
             )
+    sits = None
+    if camera is not None and result.converged:
+        with stages.stage("solve"):
+            sits = mounting_score(problem, graph, result.values)
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
     return Solved(
         result, data, better, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances,
-        clock_moved=clock_moved, clock=problem.clock, clock_score=score,
+        clock_moved=clock_moved, clock=problem.clock, clock_score=score, mounting_score=sits,
     )  # fmt: skip
 
 

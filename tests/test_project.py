@@ -81,6 +81,7 @@ FLOORS = (
         "graphnav.leg_agreement",
         "graphnav.agreement",
         "graphnav.range_clock",
+        "graphnav.mounting_score",
     },
     {
         "graphnav.smooth",
