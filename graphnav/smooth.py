@@ -23,6 +23,7 @@ from graphnav.frontends.units import refuse_wrong_units
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
+from graphnav.mounting_score import mounting_warnings
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.range_outcome import (
@@ -191,6 +192,7 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     left_out = rejected(counts)
     if solved.camera is not None and solved.camera_left_out is not None:
         noted += camera_warnings(problem, solved.camera, solved.camera_left_out)
+        noted += mounting_warnings(solved.mounting_score)
         left_out |= left_out_counts(solved.camera_left_out)
     diagnostics = Diagnostics(
         method=method,

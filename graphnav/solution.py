@@ -27,6 +27,7 @@ from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.motions import guiding_readings
+from graphnav.mounting_score import MountingScore, mounting_score
 from graphnav.native_factors import FactorAt
 from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
@@ -57,7 +58,8 @@ class Solved:
     data : the condensed sensor data that it was solved with.
     biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
     clock : with which the ranges were carried.
-    clock_score : what the ranges say of a time offset that is no variable, or None.
+    clock_score : what the ranges say of a time offset that is no variable, or None; mounting_score : what all says of
+        the camera's angles that are none.
     suspects : where it did not converge, what of the log stands out.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
@@ -81,6 +83,7 @@ class Solved:
     clock_moved: bool = False
     clock: RangeClock = field(default_factory=RangeClock)
     clock_score: ClockScore | None = None
+    mounting_score: MountingScore | None = None
     doubt: Doubt | None = None
     suspects: str = ""
 
@@ -245,12 +248,16 @@ def _rounds(
             score = clock_score(
                 problem, graph, ranges, smoothed_trajectory(problem, result.values, None), result.values
             )
+    sits = None
+    if camera is not None and result.converged:
+        with stages.stage("solve"):
+            sits = mounting_score(problem, graph, result.values)
     apart = parted((ranges, ranges_left_out), (camera, camera_left_out))
     suspected = "" if result.converged else suspects(graph, result.values, apart)
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
     return Solved(
         result, data, better, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances,
-        clock_moved=clock_moved, clock=problem.clock, clock_score=score, suspects=suspected,
+        clock_moved=clock_moved, clock=problem.clock, clock_score=score, mounting_score=sits, suspects=suspected,
     )  # fmt: skip
 
 

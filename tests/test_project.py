@@ -83,6 +83,7 @@ FLOORS = (
         "graphnav.agreement",
         "graphnav.costs",
         "graphnav.range_clock",
+        "graphnav.mounting_score",
     },
     {
         "graphnav.smooth",
