@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from graphnav._config_errors import config_error, to_toml
 from graphnav.errors import ConfigError
 
 
@@ -294,11 +295,7 @@ class Config(_Section):
         try:
             return cls.model_validate(values)
         except ValidationError as error:
-            first = error.errors()[0]
-            key = ".".join(str(part) for part in first["loc"])
-            if first["type"] == "extra_forbidden":
-                raise ConfigError(f"{where}: unknown key {key}; known: {_known(cls, first['loc'][:-1])}") from None
-            raise ConfigError(f"{where}: {key}: {first['msg']}, found {first['input']!r}") from None
+            raise config_error(cls, error, where) from None
 
     @classmethod
     def from_toml(cls, path: str | Path) -> Config:
@@ -321,18 +318,5 @@ class Config(_Section):
         lines = [f"covariance = {str(self.covariance).lower()}"]
         for name, section in self.model_dump(exclude_none=True).items():
             if isinstance(section, dict):
-                lines += ["", f"[{name}]"] + [f"{key} = {_toml(value)}" for key, value in section.items()]
+                lines += ["", f"[{name}]"] + [f"{key} = {to_toml(value)}" for key, value in section.items()]
         return "\n".join(lines) + "\n"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    return f'"{value}"' if isinstance(value, str) else repr(value)
-
-
-def _known(cls: type[BaseModel], path: tuple[int | str, ...]) -> str:
-    model: Any = cls
-    for part in path:
-        model = model.model_fields[part].annotation
-    return ", ".join(model.model_fields)

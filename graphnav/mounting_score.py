@@ -119,6 +119,6 @@ def mounting_warnings(score: MountingScore | None) -> list[str]:
     angle = float(np.degrees(np.linalg.norm(score.angle_rad)))
     return [
         f"the camera seems turned by about {angle:.2g} deg against T_bc_quat_wxyz of [stereo] (about its right, down"
-        f" and forward axis {right:.2g}, {down:.2g}, {forward:.2g} deg; {score.sigmas:.0f} sigmas): correct it, or declare"
-        " mounting_sigma_deg, and it is estimated"
+        f" and forward axis {right:.2g}, {down:.2g}, {forward:.2g} deg; {score.sigmas:.0f} sigmas): correct it, or"
+        " declare mounting_sigma_deg, and it is estimated"
     ]

@@ -20,6 +20,7 @@ from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.rest import rest_spans
 from graphnav.frontends.units import refuse_wrong_units
+from graphnav.holes import leg_hole, range_hole
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
@@ -177,6 +178,7 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     noted = warnings(problem, solved.biases_moved)
     if solved.legs is not None and problem.log.lidar is not None:
         noted += leg_warnings(problem.log.lidar, found, solved.legs, solved.legs_left_out, problem.keyframe_s)
+        noted += leg_hole(solved.legs, solved.legs_left_out, problem.keyframe_s, problem.frontend.rest_s)
     counts, residuals = [], None
     if solved.ranges is not None and problem.log.uwb is not None:
         counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
@@ -188,6 +190,7 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         score = None if contradictory(of_anchors) else solved.clock_score
         noted += geometry_warnings(problem.log.uwb) + of_anchors
         noted += clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
+        noted += range_hole(problem.log.uwb, trajectory)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
     left_out = rejected(counts)
     if solved.camera is not None and solved.camera_left_out is not None:

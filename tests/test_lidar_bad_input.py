@@ -89,6 +89,9 @@ def test_without_legs_in_view_the_sigmas_grow(seed: int) -> None:
     assert (np.abs(error) < 4.5 * sigma[: len(error)]).all()
     known = np.sqrt(np.diagonal(clean(seed).trajectory.cov, axis1=1, axis2=2)[:, 3:6])
     assert sigma.max(axis=0)[1] > 1.2 * known.max(axis=0)[1]
+    (line,) = (each for each in spoilt.diagnostics.warnings if each.startswith("no leg is seen from"))
+    told_s = np.array([float(word) for word in line.split(" s,")[0].split(" from ")[1].split(" to ")])
+    assert np.abs(told_s - half(seed) * np.array([0.4, 1.6])).max() < 6  # where the last and first legs are condensed
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -20,6 +20,7 @@ HEAVY = {"gtsam", "numba", "scipy", "pyarrow", "matplotlib", "pydantic", "rich",
 FLOORS = (
     {
         "graphnav.errors",
+        "graphnav._hints",
         "graphnav._schema",
         "graphnav._memory",
         "graphnav._pool",
@@ -34,6 +35,7 @@ FLOORS = (
         "graphnav.readers",
         "graphnav.frontends",
         "graphnav.baselines",
+        "graphnav._config_errors",
         "graphnav.config",
         "graphnav.evaluation",
         "graphnav._metrics",
@@ -104,6 +106,7 @@ FLOORS = (
         "graphnav.creep",
         "graphnav.anchor_doubt",
         "graphnav.range_outcome",
+        "graphnav.holes",
         "graphnav.range_rounds",
         "graphnav.camera_outcome",
     },

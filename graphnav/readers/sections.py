@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import difflib
 import json
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from graphnav._hints import hint
 from graphnav._schema import Record
 from graphnav.errors import LogError
 from graphnav.log import SECTIONS, TABLES, SensorLog, SurveyedPoint
@@ -30,18 +30,6 @@ ALL_SECTIONS: dict[str, type[Record]] = {
     SurveyedPoint.SECTION: SurveyedPoint,
 }
 _HEADER = ("format", "name", "epoch")
-_UNIT_WORDS = {"m", "s", "s2", "rad", "deg", "h", "mg", "sqrt", "hz", "db", "px", "per"}
-
-
-def hint(name: str, known: Iterable[str]) -> str:
-    """Advice for an unknown name: the closest known one (units are part of a name), else all of them."""
-    known = list(known)
-    longer = sorted((k for k in known if k.startswith(f"{name}_")), key=len)
-    close = longer or difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    if not close:
-        return f"expected one of: {', '.join(known)}"
-    why = " (the unit is part of the name)" if longer and _is_unit(close[0].removeprefix(name)) else ""
-    return f'did you mean "{close[0]}"{why}?'
 
 
 def _elsewhere(cls: type[Record], key: str) -> str:
@@ -52,10 +40,6 @@ def _elsewhere(cls: type[Record], key: str) -> str:
     if section is None or key not in getattr(section.annotation, "model_fields", {}):
         return ""
     return f"{cls.SECTION}.{key} is a choice of method: give it in the configuration (--config FILE), not in the log"
-
-
-def _is_unit(suffix: str) -> bool:
-    return set(suffix.strip("_").split("_")) <= _UNIT_WORDS
 
 
 def load(folder: Path) -> dict[str, Any]:

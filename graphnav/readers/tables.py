@@ -14,11 +14,12 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from graphnav._hints import hint
 from graphnav._memory import allocate, release
 from graphnav._schema import Record
 from graphnav.errors import LogError
 from graphnav.log import TABLES
-from graphnav.readers.sections import hint, shown
+from graphnav.readers.sections import shown
 
 SUFFIXES = (".parquet", ".csv")
 _DTYPES = {"float": np.float64, "int": np.int64}
