@@ -116,9 +116,11 @@ def doubted(problem: Problem, stages: Stages, data: Preintegrated, values: gtsam
     with stages.stage("solve"):
         found = faults(problem.log, near)
         likely = [each for each in found if each.cost - found[0].cost < 2 * _LEAD]
-        trials = [trial for each in likely if (trial := _tried(problem, data, values, each)) is not None]
-        if trials:
-            trials += _mirrored(data, min(trials, key=lambda each: each.half_square))
+        trials = _trials(problem, data, values, likely)
+        if not any(trial.consistent for trial in trials):
+            tried = {each.anchor for each in likely}
+            firsts = {each.anchor: each for each in reversed(found) if each.anchor not in tried}
+            trials += _trials(problem, data, values, list(firsts.values()))
     trials.sort(key=lambda each: each.half_square)
     if not trials or not trials[0].consistent:
         return Doubt()
@@ -128,6 +130,12 @@ def doubted(problem: Problem, stages: Stages, data: Preintegrated, values: gtsam
     assert uwb is not None
     ids = tuple(uwb.anchor[a].id for a in sorted({each.anchor for each in (best, *rivals)}))
     return Doubt(ids) if rivals else Doubt(ids, best.problem, best.values)
+
+
+def _trials(problem: Problem, data: Preintegrated, values: gtsam.Values, found: list[Fault]) -> list[_Trial]:
+    """Those of them that have a solution, and the best one's mirror image."""
+    trials = [trial for each in found if (trial := _tried(problem, data, values, each)) is not None]
+    return trials + _mirrored(data, min(trials, key=lambda each: each.half_square)) if trials else []
 
 
 def _tried(problem: Problem, data: Preintegrated, values: gtsam.Values, fault: Fault) -> _Trial | None:

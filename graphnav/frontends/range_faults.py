@@ -9,7 +9,6 @@ identification as satellite receivers do it: B. Parkinson and P. Axelrad, Naviga
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -21,14 +20,16 @@ from graphnav.log import SensorLog
 
 #: Seconds of ranges of which medians are taken, and the most of these that are looked at.
 _SPAN_S, _MOST = 1.0, 60
-#: Constants looked at: up to this, in steps of this; then nearer and nearer by, to this.
-_FAR_M, _STEP_M, _NEAR_M, _FINE_M = 3.0, 0.5, 0.1, 0.005
+#: Constants looked at: up to this, in steps of this.
+_FAR_M, _STEP_M = 3.0, 0.25
 #: Minima of one anchor that are followed up: mirror images have others.
-_MINIMA = 2
-_SEARCHES: tuple[tuple[Loss, float, float], ...] = (
-    ("huber", _STEP_M, _NEAR_M / 2),
-    ("geman-mcclure", _NEAR_M, _FINE_M),
-)
+_MINIMA = 3
+#: Then nearer and nearer by, so many each time: Huber's loss has a slope far off, a bounded one is not led by epochs of
+#: reflections.
+_SEARCHES: tuple[tuple[Loss, float], ...] = (("huber", _STEP_M), ("geman-mcclure", 0.1), ("geman-mcclure", 0.02))
+_FINER = 11
+#: Seconds between the epochs of one constant and the next, more than over which a side is voted.
+_APART_S = 1000.0
 #: Where the loss departs from least squares, in sigmas.
 _LOSS_SIGMAS = 3.0
 #: Ranges of an epoch that a position needs, and one over.
@@ -80,32 +81,34 @@ def lessened(log: SensorLog, fault: Fault) -> SensorLog:
 
 def _minima(epochs: RangeEpochs, a: int, near_n: Array | None) -> list[Fault]:
     """The best constants of one anchor."""
-    from scipy.optimize import minimize_scalar
-
     grid = np.arange(-_FAR_M, _FAR_M + _STEP_M / 2, _STEP_M)
-    cost = np.array([_cost(epochs, a, near_n, "huber", bias) for bias in grid.tolist()])
+    cost = _costs(epochs, a, near_n, "huber", grid)
     walled = np.concatenate([[np.inf], cost, [np.inf]])
     lowest = np.flatnonzero((cost <= walled[:-2]) & (cost <= walled[2:]))
     found = []
     for k in lowest[np.argsort(cost[lowest])][:_MINIMA].tolist():
         bias, least = float(grid[k]), np.inf
-        # Huber's loss has a slope far off; a bounded one is not led by epochs of reflections
-        for loss, within_m, fine_m in _SEARCHES:
-            best = minimize_scalar(
-                partial(_cost, epochs, a, near_n, loss), bounds=(bias - within_m, bias + within_m), method="bounded",
-                options={"xatol": fine_m},
-            )  # fmt: skip
-            bias, least = float(best.x), float(best.fun)
+        for loss, within_m in _SEARCHES:
+            finer = bias + np.linspace(-within_m, within_m, _FINER)
+            costs = _costs(epochs, a, near_n, loss, finer)
+            bias, least = float(finer[np.argmin(costs)]), float(costs.min())
         found.append(Fault(a, bias, least))
     return found
 
 
-def _cost(epochs: RangeEpochs, a: int, near_n: Array | None, loss: Loss, bias_m: float) -> float:
-    """Twice the loss of what the ranges disagree by, over all epochs."""
-    ranges = epochs.ranges_m.copy()
-    ranges[:, a] -= bias_m
-    found = positions(replace(epochs, ranges_m=ranges), near_n)
-    return float(2 * losses(np.sqrt(found.cost), loss, _LOSS_SIGMAS).sum())
+def _costs(epochs: RangeEpochs, a: int, near_n: Array | None, loss: Loss, biases_m: Array) -> Array:
+    """Twice the loss of what the ranges disagree by, over all epochs, for each constant (J,) of one anchor."""
+    count = len(biases_m)
+    ranges = np.tile(epochs.ranges_m, (count, 1, 1))
+    ranges[:, :, a] -= biases_m[:, None]
+    # all at once, as if one after the other: no epoch has a say in the side that those of another constant are on
+    later_s = np.arange(count)[:, None] * (np.ptp(epochs.t_s) + _APART_S)
+    stacked = replace(
+        epochs, t_s=(epochs.t_s + later_s).ravel(), ranges_m=ranges.reshape(-1, ranges.shape[2]),
+        lever_arm_b=np.tile(epochs.lever_arm_b, (count, 1)),
+    )  # fmt: skip
+    off = np.sqrt(positions(stacked, near_n).cost)
+    return np.asarray(2 * losses(off, loss, _LOSS_SIGMAS).reshape(count, -1).sum(axis=1))
 
 
 def _independent(log: SensorLog, t_s: Array) -> float:
