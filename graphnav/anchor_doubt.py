@@ -4,7 +4,7 @@ A path bent to a compromise does not tell which anchor bent it. So every anchor 
 nothing is known, and all is solved again from where the ranges put the machine then, and from that path's mirror image:
 the likelihoods are compared. A wrong anchor's exceeds the right one's by a factor ``exp(L)`` with a probability of
 ``exp(-L)`` at most (Markov's inequality: under the right hypothesis the likelihood ratio has mean one), so that a lead
-of `_LEAD` blames a wrong one in less than 3 of a million logs of four anchors in which one is off.
+of `LEAD` blames a wrong one in less than 3 of a million logs of four anchors in which one is off.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     import gtsam
 
 #: Logarithm of the likelihood ratio by which one anchor must lead: see above.
-_LEAD = 14.0
+LEAD = 14.0
 #: Sigma of a constant of which nothing is known.
 _FREE_M = 10.0
 #: Sigmas by which a chi-square may exceed its degrees of freedom: by chance that of one log in three million does.
@@ -67,7 +67,7 @@ class Doubt:
 
 
 @dataclass(frozen=True)
-class _Trial:
+class Trial:
     """One anchor's hypothesis solved.
 
     Attributes
@@ -82,7 +82,7 @@ class _Trial:
     problem: Problem
     values: gtsam.Values
 
-    def same_as(self, other: _Trial) -> bool:
+    def same_as(self, other: Trial) -> bool:
         """Whether both are one and the same solution."""
         apart = self.values.atPose3(X(0)).translation() - other.values.atPose3(X(0)).translation()
         return self.anchor == other.anchor and bool(np.linalg.norm(apart) < _SAME_M)
@@ -115,7 +115,7 @@ def doubted(problem: Problem, stages: Stages, data: Preintegrated, values: gtsam
     near = None if is_unknown(problem.initial) else problem.initial.pos_n_m
     with stages.stage("solve"):
         found = faults(problem.log, near)
-        likely = [each for each in found if each.cost - found[0].cost < 2 * _LEAD]
+        likely = [each for each in found if each.cost - found[0].cost < 2 * LEAD]
         trials = _trials(problem, data, values, likely)
         if not any(trial.consistent for trial in trials):
             tried = {each.anchor for each in likely}
@@ -125,32 +125,35 @@ def doubted(problem: Problem, stages: Stages, data: Preintegrated, values: gtsam
     if not trials or not trials[0].consistent:
         return Doubt()
     best, *others = trials
-    rivals = [each for each in others if each.half_square - best.half_square < _LEAD and not each.same_as(best)]
+    rivals = [each for each in others if each.half_square - best.half_square < LEAD and not each.same_as(best)]
     uwb = problem.log.uwb
     assert uwb is not None
     ids = tuple(uwb.anchor[a].id for a in sorted({each.anchor for each in (best, *rivals)}))
     return Doubt(ids) if rivals else Doubt(ids, best.problem, best.values)
 
 
-def _trials(problem: Problem, data: Preintegrated, values: gtsam.Values, found: list[Fault]) -> list[_Trial]:
+def _trials(problem: Problem, data: Preintegrated, values: gtsam.Values, found: list[Fault]) -> list[Trial]:
     """Those of them that have a solution, and the best one's mirror image."""
     trials = [trial for each in found if (trial := _tried(problem, data, values, each)) is not None]
     return trials + _mirrored(data, min(trials, key=lambda each: each.half_square)) if trials else []
 
 
-def _tried(problem: Problem, data: Preintegrated, values: gtsam.Values, fault: Fault) -> _Trial | None:
+def _tried(problem: Problem, data: Preintegrated, values: gtsam.Values, fault: Fault) -> Trial | None:
     """Solved with that anchor's constant free, from where ranges without it put the machine."""
+    return solved_from(_freed(problem, fault.anchor), data, started(problem, data, values, fault), fault)
+
+
+def started(problem: Problem, data: Preintegrated, values: gtsam.Values, fault: Fault) -> gtsam.Values:
+    """Values to start from where ranges without that fault put the machine; `values` where an odometer leads anyhow."""
     import gtsam
 
     if problem.has_calibration:
-        values = gtsam.Values(values)
-    else:
-        nearly = replace(problem, log=lessened(problem.log, fault))
-        values = initial_values(nearly, data, start_state(nearly)[0])
-    return _solved(_freed(problem, fault.anchor), data, values, fault)
+        return gtsam.Values(values)
+    nearly = replace(problem, log=lessened(problem.log, fault))
+    return initial_values(nearly, data, start_state(nearly)[0])
 
 
-def _mirrored(data: Preintegrated, trial: _Trial) -> list[_Trial]:
+def _mirrored(data: Preintegrated, trial: Trial) -> list[Trial]:
     """The same hypothesis solved from the mirror image of its path in the plane of the other anchors."""
     import gtsam
 
@@ -170,11 +173,11 @@ def _mirrored(data: Preintegrated, trial: _Trial) -> list[_Trial]:
     its = ranges.only(ranges.anchor == trial.anchor).family
     known = float(values.atVector(A(trial.anchor))[0])
     longer = known - float(np.median(its.residuals(values)[0] * its.sigma_m))
-    found = _solved(trial.problem, data, values, Fault(trial.anchor, longer, 0.0))
+    found = solved_from(trial.problem, data, values, Fault(trial.anchor, longer, 0.0))
     return [] if found is None else [found]
 
 
-def _solved(problem: Problem, data: Preintegrated, values: gtsam.Values, fault: Fault) -> _Trial | None:
+def solved_from(problem: Problem, data: Preintegrated, values: gtsam.Values, fault: Fault) -> Trial | None:
     """Solved from these values and that constant; None where no solution is found."""
     config = problem.config.uwb
     ranges = posed_ranges(problem, data, values)
@@ -192,7 +195,7 @@ def _solved(problem: Problem, data: Preintegrated, values: gtsam.Values, fault: 
     rest = replace(graph, ranges=None).linearize(values).error(values.zeroVectors())
     half_square = float(rest + np.square(np.minimum(off, config.reject_sigmas)).sum() / 2)
     consistent = _fits(2 * rest, off, config.reject_sigmas) and not _warned(problem, ranges, fit, values)
-    return _Trial(fault.anchor, half_square, consistent, problem, values)
+    return Trial(fault.anchor, half_square, consistent, problem, values)
 
 
 def _fits(rest: float, off: Array, reject_sigmas: float) -> bool:

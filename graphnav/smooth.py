@@ -37,6 +37,7 @@ from graphnav.range_outcome import (
     range_warnings,
     rejected,
 )
+from graphnav.rival_paths import rival_warning
 from graphnav.run import Diagnostics, Run
 from graphnav.scanned import with_scanned_legs
 from graphnav.sighted import Sighted, with_stereo
@@ -189,6 +190,7 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
         noted += [] if freed is None else [freed_warning(may_be[0], found)]
         score = None if contradictory(of_anchors) else solved.clock_score
         noted += geometry_warnings(problem.log.uwb) + of_anchors
+        noted += [] if solved.rival is None else [rival_warning(solved.rival, problem.log.uwb)]
         noted += clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
         noted += range_hole(problem.log.uwb, trajectory)
         residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)

@@ -35,6 +35,7 @@ from graphnav.problem import D, L, Problem, RangeClock, T, X
 from graphnav.range_clock import ClockScore, clock_score, estimates_clock, moved, offset_in, settled
 from graphnav.range_rounds import on_the_clock, posed_ranges
 from graphnav.ranges import RangeReadings, range_readings, uses_ranges
+from graphnav.rival_paths import Rival, rival_path
 from graphnav.solvers import absolute, batch, incremental
 from graphnav.trajectory import Trajectory
 
@@ -67,6 +68,7 @@ class Solved:
     advances : pairs of legs tied by the push of their support, or None.
     causal : the states that an incremental solver knew from the past alone, or None.
     doubt : where ranges contradicted each other, which anchor may be wrong; else None.
+    rival : a path that ranges fit as well, or None.
     """
 
     result: batch.BatchResult
@@ -85,6 +87,7 @@ class Solved:
     clock_score: ClockScore | None = None
     mounting_score: MountingScore | None = None
     doubt: Doubt | None = None
+    rival: Rival | None = None
     suspects: str = ""
 
 
@@ -161,7 +164,12 @@ def _solve_rounds(
         return _rounds(problem, stages, data, values, predicted)
     began = gtsam.Values(values)
     try:
-        return _rounds(problem, stages, data, values, predicted, wary=True)
+        solved = _rounds(problem, stages, data, values, predicted, wary=True)
+        rival = rival_path(problem, stages, data, began, solved.result.values)
+        if rival is not None and rival.better > 0:
+            solved = _rounds(problem, stages, data, rival.values, predicted)
+        solved.rival = rival
+        return solved
     except (ContradictionError, SolveError) as error:
         doubt = doubted(problem, stages, data, gtsam.Values(began))
         if doubt.problem is None and not isinstance(error, ContradictionError):

@@ -105,6 +105,7 @@ FLOORS = (
         "graphnav.face_line",
         "graphnav.creep",
         "graphnav.anchor_doubt",
+        "graphnav.rival_paths",
         "graphnav.range_outcome",
         "graphnav.holes",
         "graphnav.range_rounds",
