@@ -20,7 +20,7 @@ from graphnav.agreement import agreeing_ranges
 from graphnav.errors import SolveError
 from graphnav.frontends.range_epochs import is_unknown
 from graphnav.frontends.range_faults import Fault, faults, lessened
-from graphnav.graph import build_graph
+from graphnav.graph import SmoothingGraph, build_graph
 from graphnav.initial import initial_values, start_state
 from graphnav.leg_means import npt_bool
 from graphnav.preintegration import Preintegrated
@@ -88,8 +88,20 @@ class Trial:
         return self.anchor == other.anchor and bool(np.linalg.norm(apart) < _SAME_M)
 
 
-def contradicting(problem: Problem, ranges: RangeReadings, fit: npt_bool, values: gtsam.Values) -> bool:
-    """Whether ranges contradict each other near their common solution, by the rule of the warning that says so."""
+def contradicting(
+    problem: Problem, graph: SmoothingGraph, ranges: RangeReadings, fit: npt_bool, values: gtsam.Values
+) -> bool:
+    """Whether ranges contradict each other at their common solution, by the rule of the warning that says so.
+
+    Rough values may say so of sound ranges, where a fifth is reflected: better ones are asked again.
+    """
+    if not contradictory(_warned(problem, ranges, fit, values)):
+        return False
+    only = replace(graph, ranges=ranges.family.only(fit))
+    try:
+        values = batch.solve(only, values, max_iterations=_ITERATIONS, tolerance_sigma=_SIGMAS, exact=False).values
+    except SolveError:
+        return True
     return contradictory(_warned(problem, ranges, fit, values))
 
 

@@ -221,7 +221,7 @@ def _rounds(
         with stages.stage("solve") as tick:
             if ranges is not None and problem.config.uwb.loss != "none":
                 values, fit = agreeing_ranges(graph, problem.config.uwb, values)
-                if wary and contradicting(problem, ranges, fit, values):
+                if wary and contradicting(problem, graph, ranges, fit, values):
                     raise ContradictionError
                 ranges_left_out, ranges = ranges.only(~fit), ranges.only(fit)
                 graph = replace(graph, ranges=ranges.family)
