@@ -118,7 +118,7 @@ def mounting_warnings(score: MountingScore | None) -> list[str]:
     right, down, forward = np.degrees(score.angle_rad)
     angle = float(np.degrees(np.linalg.norm(score.angle_rad)))
     return [
-        f"the camera seems turned by about {angle:.2g} deg against T_bc_quat_wxyz of [stereo] (about its right, down"
-        f" and forward axis {right:.2g}, {down:.2g}, {forward:.2g} deg; {score.sigmas:.0f} sigmas): correct it, or"
+        f"the camera seems turned by about {angle:.2g} deg against T_bc_quat_wxyz (about its right, down and forward"
+        f" axis {right:.2g}, {down:.2g}, {forward:.2g} deg; {score.sigmas:.0f} sigmas): check [stereo], or"
         " declare mounting_sigma_deg, and it is estimated"
     ]
