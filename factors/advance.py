@@ -53,4 +53,4 @@ class AdvanceFamily:
         by_j = np.r_[self.across_n, 0.0, 0.0] / self.sigma_m[:, None, None]
         right = -(self.residuals(values) / self.sigma_m)[:, None]
         for i, j, by, b in zip(self.key_i.tolist(), self.key_j.tolist(), by_j, right, strict=True):
-            linear.push_back(gtsam.JacobianFactor(i, -by, j, by, b, unit))
+            linear.add(i, -by, j, by, b, unit)

@@ -8,6 +8,7 @@ and the range is left out (Plaza1: 5 cm in a second beside ranges of 50 cm).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -97,6 +98,11 @@ class CarriedRanges(RangeFamily):
         if not len(self.scale_key) or self.scale_key[0] < 0:
             return 0.0
         return float(values.atVector(int(self.scale_key[0]))[0])
+
+    def every_block(self, jacobians: dict[str, Array]) -> Iterator[tuple[slice, list[int], list[Array]]]:
+        """Rows, keys and Jacobians of every keyframe's ranges."""
+        for rows in self.groups():
+            yield rows, *self.blocks(rows, jacobians)
 
     def blocks(self, rows: slice, jacobians: dict[str, Array]) -> tuple[list[int], list[Array]]:
         """Keys and Jacobians of the ranges of one keyframe."""

@@ -104,87 +104,23 @@ def compensated_increments(
     ``dv = (I + h/2 w x + h^2/6 (w x)^2) f h + (w x f' + f x w') h^3/12`` (rotation and sculling) and
     ``dp = f h^2/2 + w x f h^3/6 - f' h^3/12`` (scrolling); pieces are composed exactly.
     """
+    from factors.composition import composed
+
     edge, row, interval = _pieces(samples.edge_s, np.asarray(boundaries_s, float))
-    first_piece, first = _group(edge, interval, len(boundaries_s) - 1, minor_s)
-    h = np.diff(edge)[:, None]
-    gyro_slope, accel_slope = slopes(samples)
-    offset = ((edge[1:] + edge[:-1] - samples.edge_s[row] - samples.edge_s[row + 1]) / 2)[:, None]
-    w_dot, f_dot = gyro_slope[row], accel_slope[row]
-    w = samples.gyro_b[row] + w_dot * offset - _per_interval(gyro_bias_b, interval)
-    f = samples.accel_b[row] + f_dot * offset - _per_interval(accel_bias_b, interval)
-    w_f = _cross(w.T, f.T).T
-    cube = h**3 / 12
-    angle = w * h + _cross(w.T, w_dot.T).T * cube
-    velocity = (f + w_f * h / 2 + _cross(w.T, w_f.T).T * h**2 / 6) * h
-    velocity += (_cross(w.T, f_dot.T) + _cross(f.T, w_dot.T)).T * cube
-    position = f * h**2 / 2 + w_f * h**3 / 6 - f_dot * cube
-    turned, total_v, total_p = _composed(first_piece, h[:, 0], angle, velocity, position)
-    return Increments(first, edge[first_piece[1:]] - edge[first_piece[:-1]], turned, total_v, total_p)
+    count = len(boundaries_s) - 1
+    first_piece, first = _group(edge, interval, count, minor_s)
+    # copies: a table that must not be written to would be compiled for anew
+    gyro_b, accel_b = (np.array(each, float) for each in (samples.gyro_b, samples.accel_b))
+    middle_s = (samples.edge_s[:-1] + samples.edge_s[1:]) / 2
+    biases = (_per_interval(bias, count) for bias in (gyro_bias_b, accel_bias_b))
+    found = composed(edge, row, interval, first_piece, middle_s, (gyro_b, accel_b, *slopes(samples)), *biases)
+    turned, velocity, position = (np.ascontiguousarray(part) for part in np.split(found, 3, axis=1))
+    return Increments(first, edge[first_piece[1:]] - edge[first_piece[:-1]], turned, velocity, position)
 
 
-def _composed(
-    first_piece: npt_int, h: Array, angle: Array, velocity: Array, position: Array
-) -> tuple[Array, Array, Array]:
-    """Rotation vectors, velocities and positions of runs of pieces; components first, for speed."""
-    lengths = np.diff(first_piece)
-    count = len(lengths)
-    quat = np.zeros((4, count))
-    quat[0] = 1.0
-    total_v, total_p = np.zeros((3, count)), np.zeros((3, count))
-    pieces = _half_angle_quaternion(angle.T)
-    for step in range(int(lengths.max(initial=0))):
-        run = slice(None) if step < lengths.min() else np.flatnonzero(lengths > step)
-        piece = first_piece[:-1][run] + step
-        q = quat[:, run]
-        total_p[:, run] += total_v[:, run] * h[piece] + _rotated(q, position[piece].T)
-        total_v[:, run] += _rotated(q, velocity[piece].T)
-        quat[:, run] = _product(q, pieces[:, piece])
-    return _rotation_vector(quat).T, np.ascontiguousarray(total_v.T), np.ascontiguousarray(total_p.T)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Cross products of vectors (3, N)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
-def _half_angle_quaternion(phi: Array) -> Array:
-    """Quaternions (4, N), w first, of rotation vectors (3, N)."""
-    angle = np.sqrt((phi * phi).sum(axis=0))
-    return np.concatenate([np.cos(angle / 2)[None], phi * (np.sinc(angle / (2 * np.pi)) / 2)])
-
-
-def _product(a: Array, b: Array) -> Array:
-    """Hamilton products (4, N)."""
-    return np.stack(
-        [
-            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
-            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
-            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
-            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
-        ]
-    )
-
-
-def _rotated(quat: Array, v: Array) -> Array:
-    """Vectors (3, N) turned by quaternions (4, N)."""
-    twice = 2 * _cross(quat[1:], v)
-    return np.asarray(v + quat[0] * twice + _cross(quat[1:], twice))
-
-
-def _rotation_vector(quat: Array) -> Array:
-    """Rotation vectors (3, N) of unit quaternions (4, N) up to half a turn."""
-    quat = np.where(quat[0] < 0, -quat, quat)
-    sine = np.sqrt((quat[1:] ** 2).sum(axis=0))
-    angle = 2 * np.arctan2(sine, quat[0])
-    tiny = sine < 1e-12
-    return np.asarray(quat[1:] * np.where(tiny, 2.0, angle / np.where(tiny, 1.0, sine)))
-
-
-def _per_interval(bias: Array | None, interval: npt_int) -> Array:
-    if bias is None:
-        return np.zeros(3)
-    bias = np.asarray(bias, float)
-    return bias if bias.ndim == 1 else bias[interval]
+def _per_interval(bias: Array | None, count: int) -> Array:
+    found = np.zeros(3) if bias is None else np.asarray(bias, float)
+    return np.array(np.broadcast_to(found, (count, 3)))
 
 
 def _pieces(edges: Array, boundaries: Array) -> tuple[Array, npt_int, npt_int]:

@@ -198,30 +198,11 @@ class Motion:
 
 def cumulate(increments: Increments) -> Motion:
     """Compose minor increments within every interval."""
-    count = len(increments.first) - 1
-    minors = len(increments.dt_s)
+    from factors.composition import cumulated
+
     turn = so3.exp(increments.rotation_b)
-    out = Motion(
-        increments.first, np.empty(minors), np.empty((minors, 3, 3)), np.empty((minors, 3)), np.empty((minors, 3))
-    )
-    rotation, velocity, position = np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), np.zeros((count, 3))
-    elapsed, lengths = np.zeros(count), np.diff(increments.first)
-    for step in range(int(lengths.max(initial=0))):
-        k = np.flatnonzero(lengths > step)
-        m = increments.first[k] + step
-        dt = increments.dt_s[m][:, None]
-        gained = np.einsum("kij,kj->ki", rotation[k], increments.velocity_b[m])
-        position[k] += velocity[k] * dt + np.einsum("kij,kj->ki", rotation[k], increments.position_b[m])
-        velocity[k] += gained
-        rotation[k] = rotation[k] @ turn[m]
-        elapsed[k] += dt[:, 0]
-        out.elapsed_s[m], out.rotation[m], out.velocity_b[m], out.position_b[m] = (
-            elapsed[k],
-            rotation[k],
-            velocity[k],
-            position[k],
-        )
-    return out
+    parts = cumulated(increments.first, increments.dt_s, turn, increments.velocity_b, increments.position_b)
+    return Motion(increments.first, *parts)
 
 
 def predict(

@@ -82,8 +82,8 @@ class LegFamily:
         """`leg_residual` of some of the readings, whitened."""
         pose, turn = lookup.poses(values, self.pose_key[rows]), self.turn_b[rows]
         rotation, back = pose[:, :3, :3], so3.transpose(turn)
-        calibration, more = lookup.vectors(values, self.calibration_key[rows]), self.spread[rows] @ self._acts
-        moved = np.einsum("kij,kj->ki", more, calibration)
+        calibration, more = self._calibration(values, rows), self.spread[rows] @ self._acts
+        moved = (more @ calibration[..., None])[..., 0]
         error, by_moved, by_leg, by_calibration = leg_residual(
             rotation @ turn, pose[:, :3, 3] + self.shift_n[rows],
             lookup.vectors(values, self.leg_key[rows]), calibration,
@@ -92,13 +92,18 @@ class LegFamily:
         )  # fmt: skip
         error += moved[:, :2]
         # a plane that is cut higher is as a scanner that stands higher
-        axis_b = np.einsum("kij,j->ki", so3.exp(calibration[:, MOUNTING]), self.rotation_bs[:, 2])
-        by_off = np.einsum("kij,kj->ki", by_moved[..., 3:], axis_b)
+        axis_b = so3.exp(calibration[:, MOUNTING]) @ self.rotation_bs[:, 2]
+        by_off = (by_moved[..., 3:] @ axis_b[..., None])[..., 0]
         by_calibration += more[:, :2] - by_off[..., None] * more[:, 2:]
         by_turn, by_shift = by_moved[..., :3] @ back, by_moved[..., 3:] @ back
         by_pose = np.concatenate([by_turn, by_shift], axis=-1)
         sigma = self.sigma[rows]
         return error / sigma, by_pose / sigma[..., None], by_leg / sigma[..., None], by_calibration / sigma[..., None]
+
+    def _calibration(self, values: gtsam.Values, rows: slice) -> Array:
+        """(K, 8) of each reading, or (1, 8) where all have the same: what is made of it is then made once."""
+        keys = self.calibration_key[rows]
+        return lookup.vectors(values, keys[:1] if (keys == keys[:1]).all() else keys)
 
     def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values, block: int = 4096) -> None:
         """Append the whitened Jacobian factors at `values`."""
@@ -122,7 +127,7 @@ class LegFamily:
                 self.calibration_key[rows].tolist(), by_calibration, -error,
             )  # fmt: skip
             for x, by_x, leg, by_l, d, by_d, b in zip(*parts, strict=True):
-                linear.push_back(gtsam.JacobianFactor(x, by_x, leg, by_l, d, by_d, b, unit))
+                linear.add(x, by_x, leg, by_l, d, by_d, b, unit)
 
     def only(self, rows: npt_int) -> LegFamily:
         """Some of the readings."""

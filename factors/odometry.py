@@ -285,7 +285,7 @@ class DisplacementFamily:
             a_i, a_j, a_c = (jacobian / self.sigma_m[rows, :, None] for jacobian in jacobians)
             first, second, calibration = (k.tolist() for k in keys)
             for i, by_i, j, by_j, c, by_c, e in zip(first, a_i, second, a_j, calibration, a_c, b, strict=True):
-                linear.push_back(gtsam.JacobianFactor(i, by_i, j, by_j, c, by_c, e, unit))
+                linear.add(i, by_i, j, by_j, c, by_c, e, unit)
 
     def factor(self, k: int) -> gtsam.CustomFactor:
         """The k-th one alone, for an incremental solver."""

@@ -11,7 +11,9 @@ Noise that the IMU adds between the keyframe and a range (0.1 mm in 0.3 s for ME
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +22,7 @@ from factors import lookup, so3
 from factors.increments import npt_int
 from factors.inertial import Motion, predict
 from factors.known import known_factor
+from factors.range_layout import RangeLayout
 from factors.robust import Loss, losses, weights
 from factors.so3 import Array
 from factors.time_offset import TimeOffset
@@ -158,15 +161,16 @@ class RangeFamily:
 
     def _markov(self, values: gtsam.Values) -> Array:
         """What the Markov errors add (K,) m."""
-        found = np.zeros(len(self.range_m))
-        for column, keys in enumerate((self.markov_key, self.next_key)):
-            rows = np.flatnonzero(keys >= 0)
-            different, which = np.unique(keys[rows], return_inverse=True)
-            known = [values.atVector(key) for key in different.tolist()]
-            first = np.concatenate([[0], np.cumsum([len(each) for each in known])]).astype(np.int64)
-            if len(rows):
-                found[rows] += self.markov_m[rows, column] * np.concatenate(known)[first[which] + self.slot[rows]]
-        return found
+        keys = np.stack([self.markov_key, self.next_key], axis=1)
+        there = keys >= 0
+        if not there.any():
+            return np.zeros(len(keys))
+        different, which = np.unique(keys[there], return_inverse=True)
+        known = [values.atVector(key) for key in different.tolist()]
+        first = np.cumsum([0] + [len(each) for each in known])[:-1]
+        found = np.zeros(keys.shape)
+        found[there] = np.concatenate(known)[first[which] + np.stack([self.slot] * 2, axis=1)[there]]
+        return np.asarray(self.markov_m[:, 0] * found[:, 0] + self.markov_m[:, 1] * found[:, 1])
 
     def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> None:
         """Append the whitened Jacobian factors at `values`, one for each group of ranges."""
@@ -182,13 +186,29 @@ class RangeFamily:
             root = np.sqrt(weight)
             error, jacobians = root * error, {name: root[:, None] * each for name, each in jacobians.items()}
         graph = gtsam.NonlinearFactorGraph()
-        for rows in self.groups():
-            graph.add(known_factor(*self.blocks(rows, jacobians), error[rows]))
+        for rows, keys, blocks in self.every_block(jacobians):
+            graph.add(known_factor(keys, blocks, error[rows]))
         linear.push_back(graph.linearize(values))
         # a row of no variable's makes the linear graph's error that of the loss
         held = int(self.pose_key[0])
         unit = gtsam.noiseModel.Unit.Create(1)
         linear.push_back(gtsam.JacobianFactor(held, np.zeros((1, 6)), np.array([np.sqrt(max(excess, 0.0))]), unit))
+
+    def every_block(self, jacobians: dict[str, Array]) -> Iterator[tuple[slice, list[int], list[Array]]]:
+        """Rows, keys and Jacobians of every keyframe's ranges: `blocks` of all of them at once."""
+        layout = self._layout
+        clock = [] if self.clock is None else [self.clock.key]
+        found = layout.blocks(
+            (jacobians["pose"], jacobians["velocity"], jacobians["bias"]), jacobians["markov"], self.slot,
+            int(self.slots[0]), jacobians["anchor"], jacobians.get("offset"),
+        )  # fmt: skip
+        for rows, keys, blocks in zip(layout.groups, layout.keys, found, strict=True):
+            yield rows, keys + clock, blocks
+
+    @cached_property
+    def _layout(self) -> RangeLayout:
+        states = (self.pose_key, self.velocity_key, self.bias_key)
+        return RangeLayout.of(self.groups(), states, (self.markov_key, self.next_key), self.anchor_key)
 
     def groups(self) -> list[slice]:
         """Ranges that share keyframes."""

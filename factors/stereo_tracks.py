@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors import lookup, so3
+from factors.condensed_points import Condensed, PointRows
 from factors.increments import npt_int
 from factors.robust import Loss, losses, weights
 from factors.so3 import Array
@@ -107,14 +108,7 @@ class TrackFamily:
 
         if not len(self.pose_key):
             return
-        error, by = self.residuals(values)
-        excess = 0.0
-        if self.loss != "none":
-            length = np.linalg.norm(error, axis=1)
-            weight = weights(length, self.loss, self.scale)
-            excess = float((2 * losses(length, self.loss, self.scale) - weight * length**2).sum())
-            root = np.sqrt(weight)
-            error, by = root[:, None] * error, [root[:, None, None] * each for each in by]
+        error, by, excess = self._weighted(values)
         unit, m = gtsam.noiseModel.Unit.Create(_ROWS), self.camera_key
         for k, (x, p) in enumerate(zip(self.pose_key.tolist(), self.point_key.tolist(), strict=True)):
             if m is None:
@@ -125,10 +119,36 @@ class TrackFamily:
         still, nothing = np.eye(_ROWS) / _FARTHEST_M, np.zeros(_ROWS)
         for p in np.unique(self.point_key).tolist():
             linear.push_back(gtsam.JacobianFactor(p, still, nothing, unit))
-        # a row of no variable's makes the linear graph's error that of the loss
-        rest = np.array([np.sqrt(max(excess, 0.0))])
-        held = int(self.pose_key[0])
-        linear.push_back(gtsam.JacobianFactor(held, np.zeros((1, 6)), rest, gtsam.noiseModel.Unit.Create(1)))
+        linear.push_back(self._rest(excess))
+
+    def condense_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> Condensed | None:
+        """The same with the points eliminated: they are no part of the linear graph. None without readings."""
+        if not len(self.pose_key):
+            return None
+        error, by, excess = self._weighted(values)
+        rows = PointRows.sorted(self.pose_key, self.point_key, self.camera_key, error, by)
+        condensed = Condensed.of(rows, 1 / _FARTHEST_M**2)
+        condensed.linearize_into(linear)
+        linear.push_back(self._rest(excess))
+        return condensed
+
+    def _weighted(self, values: gtsam.Values) -> tuple[Array, list[Array], float]:
+        """`residuals` under the loss, and by how much the sum of squares falls short of the loss (twice the error)."""
+        error, by = self.residuals(values)
+        if self.loss == "none":
+            return error, by, 0.0
+        length = np.linalg.norm(error, axis=1)
+        weight = weights(length, self.loss, self.scale)
+        excess = float((2 * losses(length, self.loss, self.scale) - weight * length**2).sum())
+        root = np.sqrt(weight)
+        return root[:, None] * error, [root[:, None, None] * each for each in by], excess
+
+    def _rest(self, excess: float) -> gtsam.JacobianFactor:
+        """A row of no variable's, which makes the linear graph's error that of the loss."""
+        import gtsam
+
+        rest, held = np.array([np.sqrt(max(excess, 0.0))]), int(self.pose_key[0])
+        return gtsam.JacobianFactor(held, np.zeros((1, 6)), rest, gtsam.noiseModel.Unit.Create(1))
 
 
 def _times(matrix: Array, vectors: Array) -> Array:

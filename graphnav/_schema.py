@@ -133,6 +133,7 @@ def _check_column(record: Record, f: dataclasses.Field[Any], value: Any) -> npt.
             f"value {array[tuple(index)]}, expected a number above zero",
             row=int(index[0]),
             column=names[int(index[1]) if wanted == 2 else 0],
+            fix="drop the row or repair the recording",
         )
     array.flags.writeable = False
     return array

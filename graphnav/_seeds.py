@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import os
 import statistics
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from graphnav._consistency import OverRuns, band
 from graphnav._cycles import CycleError
+from graphnav._pool import in_order
 from graphnav._stages import ProgressHook
 from graphnav.comparison import TRUTH, Comparison, Curve, MethodRow, NisBand, OverSeeds
 
 #: Step of the common time axis of error curves, s.
 _STEP_S = 1.0
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 Rows = tuple[MethodRow, ...]
 
 
@@ -27,37 +26,12 @@ def in_workers(run: Callable[[int], Rows], seeds: int, progress: ProgressHook | 
     ----------
     run : can be pickled, as can what it returns.
     """
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
     found: list[Rows] = []
-    with _environment(dict.fromkeys(_THREADS, "1")):
-        workers = min(os.cpu_count() or 1, seeds)
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            try:
-                for rows in pool.map(run, range(seeds)):
-                    found.append(rows)
-                    if progress is not None:
-                        progress("seeds", len(found), seeds)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
+    for rows in in_order(run, range(seeds), min(os.cpu_count() or 1, seeds), batch=1):
+        found.append(rows)
+        if progress is not None:
+            progress("seeds", len(found), seeds)
     return found
-
-
-@contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
-    """Environment variables for the processes started within: BLAS reads them when it is loaded."""
-    before = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def over_seeds(name: str, found: Sequence[Rows], seeds: int) -> Comparison:

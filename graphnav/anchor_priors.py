@@ -41,7 +41,7 @@ def anchor_priors(uwb: Uwb, anchors: list[int]) -> list[gtsam.NonlinearFactor]:
 
 def _own_sigma(uwb: Uwb, a: int) -> Array:
     """Sigmas (4,) of an anchor's constant error and of its place."""
-    return np.asarray(np.r_[uwb.bias_sigma_m or _NONE_M, np.full(3, uwb.anchor[a].sigma_m)])
+    return np.asarray(np.r_[uwb.constant_sigma_m[a] or _NONE_M, np.full(3, uwb.anchor[a].sigma_m)])
 
 
 def _group_prior(uwb: Uwb, name: str, members: list[int]) -> gtsam.NonlinearFactor:

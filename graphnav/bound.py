@@ -175,7 +175,7 @@ def _at_truth(
     for _ in range(_STEPS if legs is None else _STEPS_WITH_LEGS):
         values = values.retract(_rest_given_states(graph.linearize(values), values))
     graph = _graph(problem, solved, values, legs, advances)
-    tree, order = elimination(graph.linearize(values), graph.chain)
+    tree, order = elimination(graph.condensed(values)[0], graph.chain)
     blocks = covariances(problem, BatchResult(values, tree, (), True, order), tick)
     return replace(smoothed_trajectory(problem, values, blocks), bridge=None)
 

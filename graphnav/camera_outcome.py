@@ -6,12 +6,16 @@ import numpy as np
 
 from factors.so3 import Array
 from graphnav.camera import Camera
+from graphnav.keyframes import SAME_S
+from graphnav.leg_means import npt_bool
 from graphnav.motions import MotionReadings
 from graphnav.problem import Problem, X
 from graphnav.tracks import TrackReadings
 
 #: The longest time without the camera that is passed over, s, and the share of readings of features left out that is.
 _GAP_S, _MANY = 10.0, 0.2
+#: Times without frames are holes where they are also so many times as long as usual.
+_UNUSUAL = 5.0
 
 
 def camera_warnings(problem: Problem, used: Camera, left_out: Camera) -> list[str]:
@@ -76,10 +80,22 @@ def _covered(problem: Problem, used: Camera) -> tuple[Array, Array]:
         keys = used.tracks.family.point_key
         order = np.lexsort((used.tracks.family.pose_key, keys))
         at = problem.keyframe_s[used.tracks.family.pose_key[order] - X(0)]
-        same = np.diff(keys[order]) == 0
-        starts.append(at[:-1][same])
-        ends.append(at[1:][same])
+        tied = (np.diff(keys[order]) == 0) & ~_over_a_hole(problem, at[:-1], at[1:])
+        starts.append(at[:-1][tied])
+        ends.append(at[1:][tied])
     return np.concatenate(starts), np.concatenate(ends)
+
+
+def _over_a_hole(problem: Problem, from_s: Array, to_s: Array) -> npt_bool:
+    """Whether a time without any frame lies between two sights (K,) of a feature: few are found again after it."""
+    assert problem.log.stereo_tracks is not None
+    frame_s = np.unique(problem.log.stereo_tracks.t_s)
+    steps_s = np.diff(frame_s)
+    holes = np.flatnonzero(steps_s > max(_GAP_S, _UNUSUAL * float(np.median(steps_s))))
+    found = np.zeros(len(from_s), bool)
+    for start_s, end_s in zip(frame_s[holes], frame_s[holes + 1], strict=True):
+        found |= (from_s < start_s + SAME_S) & (to_s > end_s - SAME_S)
+    return found
 
 
 def longest_gap(problem: Problem, from_s: Array, to_s: Array) -> tuple[float, float]:

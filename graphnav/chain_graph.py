@@ -17,9 +17,10 @@ from factors.so3 import Array, from_quaternion, to_quaternion
 from graphnav.camera import Camera
 from graphnav.chain_problem import ChainProblem
 from graphnav.chain_ranges import SCALE, scale_prior
-from graphnav.graph import SmoothingGraph, pose_prior
+from graphnav.graph import SmoothingGraph
 from graphnav.leg_priors import leg_priors
 from graphnav.legs import LegReadings, gathered
+from graphnav.native_factors import pose_prior
 from graphnav.problem import D, L, X
 from graphnav.ranges import RangeReadings, RangeStates
 from graphnav.trajectory import Trajectory

@@ -123,7 +123,7 @@ class _Fit:
     Attributes
     ----------
     tag : (K, 3) tags as dead-reckoned from the start; places (J, 3) of the anchors; anchor (K,) of them; range_m (K,).
-    sigma_m, heading_rad, scale, bias_m : sigmas; start_n, start_m : declared place of the start with its sigmas.
+    sigma_m, heading_rad, scale, bias_m (J,) : sigmas; start_n, start_m : declared place of the start with its sigmas.
     """
 
     tag: Array
@@ -133,7 +133,7 @@ class _Fit:
     sigma_m: float
     heading_rad: float
     scale: float
-    bias_m: float
+    bias_m: Array
     start_n: Array
     start_m: Array
 
@@ -153,7 +153,7 @@ class _Fit:
             float(np.hypot(uwb.sigma_m, uwb.markov_sigma_m or 0.0)),
             float(np.radians(initial.att_sigma_deg[2])),
             uwb.scale_sigma or _NO_SCALE,
-            uwb.bias_sigma_m or _NO_BIAS_M,
+            np.maximum(uwb.constant_sigma_m, _NO_BIAS_M),
             initial.pos_n_m,
             initial.pos_sigma_m,
         )

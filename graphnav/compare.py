@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -18,7 +20,7 @@ from graphnav._stages import ProgressHook
 from graphnav.comparison import TRUTH, Comparison, Curve, MethodRow, NisBand
 from graphnav.errors import ConfigError, GraphnavError
 from graphnav.log import SensorLog, Truth
-from graphnav.methods import LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
+from graphnav.methods import LEG_METHODS, METHODS, SIGHTED_METHODS, STEREO_METHODS, UWB_METHODS
 
 if TYPE_CHECKING:
     from graphnav.config import Config
@@ -46,7 +48,8 @@ def compare(
     config : choices of method, the same for all; None for the defaults.
     seeds : above zero, the scenario of the log is simulated again with the seeds 0, 1, ... seeds - 1, in worker
         processes; call it then under ``if __name__ == "__main__":``.
-    progress : called as ``progress(method or "seeds", done, total)``.
+    progress : called as ``progress(method, "seeds" or "images", done, total)``, "images" while those of a simulated log
+        are rendered.
 
     Returns
     -------
@@ -63,8 +66,8 @@ def compare(
     if seeds:
         task = _Task(_scenario(log), chosen, config)
         return over_seeds(task.name, in_workers(task.run, seeds, progress), seeds)
-    log = _opened(log)
-    return Comparison(log.name, *_compared(log, chosen, config, progress))
+    with _opened(log, chosen, progress) as opened:
+        return Comparison(opened.name, *_compared(opened, chosen, config, progress))
 
 
 def _checked(methods: Sequence[str]) -> tuple[str, ...]:
@@ -85,25 +88,49 @@ def _every(log: SensorLog) -> tuple[str, ...]:
     return tuple(method for method in METHODS if method not in missing)
 
 
-def _opened(log: SensorLog | str | Path) -> SensorLog:
+@contextmanager
+def _opened(
+    log: SensorLog | str | Path, methods: Sequence[str] | None, progress: ProgressHook | None
+) -> Iterator[SensorLog]:
     """The log itself, from its folder, or simulated from its name."""
-    if isinstance(log, SensorLog):
-        return log
-    found = None if Path(log).exists() else _parsed(str(log))
+    found = None if isinstance(log, SensorLog) or Path(log).exists() else _parsed(str(log))
     if found is not None:
-        from graphnav.simulation import simulate
+        with _simulated(found, found.seed or 0, methods, progress) as simulated:
+            yield simulated
+        return
+    yield log if isinstance(log, SensorLog) else _read(log)
 
-        return simulate(found.scenario, found.seed or 0, **found.options)
+
+def _read(folder: str | Path) -> SensorLog:
     from graphnav.readers import read
 
-    return read(log)
+    return read(folder)
+
+
+@contextmanager
+def _simulated(
+    found: Simulated, seed: int, methods: Sequence[str] | None, progress: ProgressHook | None = None
+) -> Iterator[SensorLog]:
+    """A simulated log, with its images in a folder that is removed in the end; without them where none is looked at."""
+    from graphnav.simulation import simulate
+
+    log = simulate(found.scenario, seed, **found.options)
+    looked_at = methods is None or not set(methods).isdisjoint(SIGHTED_METHODS)
+    if not looked_at or log.stereo_pairs is None or log.stereo_tracks is not None:
+        yield log
+        return
+    from graphnav.simulation.stereo_images import render_into
+
+    with TemporaryDirectory(prefix="graphnav-images-") as folder:
+        render_into(found.scenario, seed, found.options, Path(folder), progress=progress)
+        yield replace(log, stereo_pairs=log.stereo_pairs.replace(folder=Path(folder)))
 
 
 def _scenario(log: SensorLog | str | Path) -> Simulated:
     """The scenario that a log was simulated from, or that a name tells."""
-    named = not isinstance(log, SensorLog) and not Path(log).exists() and _parsed(str(log)) is not None
-    name = str(log) if named else _opened(log).name
-    found = _parsed(name)
+    named = None if isinstance(log, SensorLog) or Path(log).exists() else _parsed(str(log))
+    name = str(log) if named is not None else log.name if isinstance(log, SensorLog) else _read(log).name
+    found = named or _parsed(name)
     if found is None:
         raise ConfigError(
             f'log "{name}" was not simulated from a scenario, and seeds mean to simulate it again; leave out the seeds,'
@@ -225,10 +252,8 @@ class _Task:
 
     def run(self, seed: int) -> tuple[MethodRow, ...]:
         """All methods on one seed."""
-        from graphnav.simulation import simulate
-
-        log = simulate(self.scenario.scenario, seed, **self.scenario.options)
-        return _compared(log, self.methods, self.config, None)[2]
+        with _simulated(self.scenario, seed, self.methods) as log:
+            return _compared(log, self.methods, self.config, None)[2]
 
 
 class _CallableModule(ModuleType):

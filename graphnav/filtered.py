@@ -17,7 +17,7 @@ from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, MOUNTING, SCALE
 from graphnav.baselines.tape import Estimates
 from graphnav.errors import LogError
-from graphnav.methods import LEG_METHODS, STEREO_METHODS
+from graphnav.methods import LEG_METHODS, STEREO_METHODS, UWB_METHODS
 from graphnav.outcome import warnings
 from graphnav.problem import Problem
 from graphnav.run import ACCEL_NAMES, GYRO_NAMES, ODOMETER_NAMES, Calibration, CalibrationHistory, Diagnostics, Run
@@ -150,6 +150,8 @@ def diagnosed(problem: Problem, method: str, stages: Stages) -> Diagnostics:
     unused = []
     if problem.log.lidar_points is not None and problem.config.lidar.use and method not in LEG_METHODS:
         unused.append(f"{method} does not use the table lidar_points: batch, isam2 and lidar-ekf do")
+    if problem.log.uwb is not None and problem.config.uwb.use and method not in UWB_METHODS:
+        unused.append(f"{method} does not use the table uwb: batch, isam2 and imu-uwb do")
     seen = (problem.log.stereo_pairs, problem.log.stereo_tracks, problem.log.relative_pose)
     if any(table is not None for table in seen) and method not in STEREO_METHODS:
         unused.append(f"{method} does not use the camera: batch, isam2, stereo and vio-kf do")

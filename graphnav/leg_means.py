@@ -5,6 +5,7 @@ A group is all detections of one leg in one window of a few seconds, see `graphn
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,6 @@ from factors.inertial import M_S2_PER_MG
 from factors.so3 import Array, from_quaternion
 from graphnav.config import LidarConfig
 from graphnav.log import Lidar, SensorLog
-from graphnav.trajectory import Trajectory
 
 npt_bool = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
@@ -32,10 +32,11 @@ class Groups:
 
     Attributes
     ----------
+    order : (M,), or None where the rows stand in that order already, which spares looking them up.
     number : (G,) ascending, what the rows of each group have in common; count : (G,) rows in each.
     """
 
-    order: npt_int
+    order: npt_int | None
     start: npt_int
     count: npt_int
     number: npt_int
@@ -43,16 +44,21 @@ class Groups:
     @classmethod
     def of(cls, number: npt_int) -> Groups:
         """Rows with the same number."""
-        order = np.argsort(number, kind="stable")
-        ordered = number[order]
-        start = np.flatnonzero(np.diff(ordered, prepend=ordered[:1] - 1))
-        return cls(order, start, np.diff(start, append=len(number)), ordered[start])
+        order = None
+        if len(number) and np.diff(number).min(initial=0) < 0:
+            order = np.argsort(number, kind="stable")
+            number = number[order]
+        start = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
+        return cls(order, start, np.diff(start, append=len(number)), number[start])
 
     @property
     def of_row(self) -> npt_int:
         """(M,) group of every row."""
-        found = np.empty(len(self.order), np.int64)
-        found[self.order] = np.repeat(np.arange(len(self.count)), self.count)
+        group = np.repeat(np.arange(len(self.count)), self.count)
+        if self.order is None:
+            return group
+        found = np.empty(len(group), np.int64)
+        found[self.order] = group
         return found
 
     def median(self, values: Array) -> Array:
@@ -61,28 +67,28 @@ class Groups:
         return np.asarray(values[np.lexsort((values, group))][self.start + self.count // 2])
 
     def mean(self, values: Array) -> Array:
-        """Mean of every group."""
-        total = np.add.reduceat(values[self.order], self.start, axis=0)
-        return np.asarray(total / self.count.reshape(-1, *[1] * (values.ndim - 1)))
+        """Mean of every group, (..., G), of values (..., M): components first, since long rows are summed fastest."""
+        ordered = values if self.order is None else values[..., self.order]
+        return np.asarray(np.add.reduceat(ordered, self.start, axis=-1) / self.count)
 
 
-def on_the_ground(at: Trajectory, t_s: Array, range_m: Array, angle_rad: Array, lidar: Lidar) -> tuple[Array, Array]:
-    """Place (M, 3) of every detection in n, and in n the three directions (M, 3, 3) in which the scanner's errors act.
+def on_the_ground(
+    rotation_nb: Array, pos_n: Array, row: npt_int, range_m: Array, angle_rad: Array, lidar: Lidar
+) -> tuple[Array, Array]:
+    """Place (3, M) of every detection in n, and in n the three directions in which the scanner's errors act.
 
-    Along the ray, in the scan plane to its left, and up from the plane.
+    Along the ray, in the scan plane to its left, and up from the plane: (3, 3, M), the direction first.
 
     Parameters
     ----------
-    at : the path at least at the times of the detections; t_s, range_m, angle_rad : (M,).
+    rotation_nb, pos_n : (T, 3, 3) and (T, 3) poses; row, range_m, angle_rad : (M,) that of each detection.
     """
-    row = np.searchsorted(at.t_s, t_s)
-    to_n = at.rotation_nb @ from_quaternion(lidar.T_bs_quat_wxyz)
-    scanner = at.pos_n + at.rotation_nb @ lidar.T_bs_pos_m
+    axes = (rotation_nb @ from_quaternion(lidar.T_bs_quat_wxyz)).transpose(2, 1, 0)
+    scanner = (pos_n + rotation_nb @ lidar.T_bs_pos_m).T
+    right, forward, up = (np.take(axis, row, axis=1) for axis in np.ascontiguousarray(axes))
     sin, cos = np.sin(angle_rad), np.cos(angle_rad)
-    in_plane = np.stack([-sin, -cos, cos, -sin], axis=-1).reshape(-1, 2, 2)
-    directions = to_n[row]
-    directions[..., :2] = directions[..., :2] @ in_plane
-    return scanner[row] + range_m[:, None] * directions[..., 0], directions
+    directions = np.stack([cos * forward - sin * right, -cos * right - sin * forward, up])
+    return np.take(np.ascontiguousarray(scanner), row, axis=1) + range_m * directions[0], directions
 
 
 def apart(groups: Groups, place: Array, sigma_m: Array) -> npt_bool:
@@ -94,17 +100,17 @@ def apart(groups: Groups, place: Array, sigma_m: Array) -> npt_bool:
 
     Parameters
     ----------
-    place : (M, 3); sigma_m : (M,) declared noise of a detection's place, each axis.
+    place : (3, M); sigma_m : (M,) declared noise of a detection's place, each axis.
     """
-    level, of_row = place[:, :2], groups.of_row
-    off = np.square(level - groups.mean(level)[of_row]).sum(axis=1)
+    level, of_row = place[:2], groups.of_row
+    off = np.square(level - groups.mean(level)[:, of_row]).sum(axis=0)
     scattered = groups.mean(off) > 4 * 2 * groups.mean(sigma_m**2)
     rows = np.flatnonzero(scattered[of_row])
-    wrong = np.zeros(len(place), bool)
+    wrong = np.zeros(len(of_row), bool)
     if len(rows):
-        some, level = Groups.of(of_row[rows]), level[rows]
-        centre = np.column_stack([some.median(level[:, 0]), some.median(level[:, 1])])
-        distance = np.hypot(*(level - centre[some.of_row]).T)
+        some, level = Groups.of(of_row[rows]), level[:, rows]
+        centre = np.array([some.median(level[0]), some.median(level[1])])
+        distance = np.hypot(*(level - centre[:, some.of_row]))
         # of a level normal error the median distance is 1.18 sigma
         usual = np.maximum(some.median(distance) / 1.18, np.sqrt(some.mean(sigma_m[rows] ** 2)))
         wrong[rows] = distance > _APART * usual[some.of_row]
@@ -157,7 +163,7 @@ def spread(groups: Groups, directions: Array, range_m: Array, angle_rad: Array, 
 
     Parameters
     ----------
-    directions : (M, 3, 3) u, w and n of each detection; range_m, angle_rad : (M,).
+    directions : (3, 3, M) u, w and n of each detection; range_m, angle_rad : (M,).
     frame : (G, 3, 3) those of the mean reading; mean : (G, 3) its range, angle and height above its plane.
 
     Returns
@@ -165,12 +171,8 @@ def spread(groups: Groups, directions: Array, range_m: Array, angle_rad: Array, 
     By the calibration's first five numbers, and by turns about the scanner's right and forward axes; a turn about its
     normal is as a bias of the angle.
     """
-    u, w, n = np.moveaxis(directions, -1, 0)
-    r = range_m[:, None]
-    moves = [r * u, u, -r * w, -(r * angle_rad[:, None]) * w]
-    moves += [moves[-1] * angle_rad[:, None], -(range_m * np.cos(angle_rad))[:, None] * n]
-    moves.append(-(range_m * np.sin(angle_rad))[:, None] * n)
-    found: Array = np.einsum("gji,gjc->gic", frame, np.stack([groups.mean(each) for each in moves], axis=-1))
+    moves = np.stack([groups.mean(each) for each in _moves(directions, range_m, angle_rad)])
+    found: Array = np.einsum("gji,cjg->gic", frame, moves)
     rho, theta, off = mean.T
     by_u, by_w = np.array([-np.sin(theta), np.cos(theta)]).T, np.array([-np.cos(theta), -np.sin(theta)]).T
     found[:, 0] -= np.column_stack([rho, np.ones_like(rho), *np.zeros((3, len(rho))), -off[:, None] * by_w])
@@ -179,6 +181,18 @@ def spread(groups: Groups, directions: Array, range_m: Array, angle_rad: Array, 
     found[:, 2, 5:] -= rho[:, None] * by_w
     found[:, 1] /= rho[:, None]
     return found
+
+
+def _moves(directions: Array, range_m: Array, angle_rad: Array) -> Iterator[Array]:
+    """What each of the seven errors of `spread` makes of detections, (3, M) in n; one by one, for the cache."""
+    u, w, n = directions
+    yield range_m * u
+    yield u
+    yield (move := -range_m * w)
+    yield (move := move * angle_rad)
+    yield move * angle_rad
+    yield -range_m * np.cos(angle_rad) * n
+    yield -range_m * np.sin(angle_rad) * n
 
 
 def together(

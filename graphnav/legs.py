@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     import gtsam
 
 #: Detections brought together at a time.
-_BLOCK = 100_000
+_BLOCK = 200_000
 #: Times this close are the same, s.
 _SAME_S = 1e-6
 
@@ -117,7 +117,7 @@ def gathered(log: SensorLog, config: Config, way: Trajectory, centre: npt_int) -
     middle_s = (way.t_s[centre][1:] + way.t_s[centre][:-1]) / 2
     change = np.r_[first, first + np.searchsorted(points.t_s[first:last], middle_s), last]
     keyframe = np.repeat(centre, np.diff(change))
-    # some windows at a time: small arrays stay in the processor's cache
+    # some windows at a time: as many as keep the arrays small, and the calls for each few
     edges = np.unique(np.r_[change[np.searchsorted(change, np.arange(first, last, _BLOCK))], last])
     blocks = [
         _of_block(log, config, way, np.arange(lo, hi), keyframe[lo - first : hi - first], names)
@@ -210,18 +210,24 @@ def _of_block(
     """
     lidar, points = log.lidar, log.lidar_points
     assert lidar is not None and points is not None
-    t_s, ranges, angles = points.t_s[rows], points.range_m[rows], points.angle_rad[rows]
-    groups = Groups.of(keyframe * len(names) + np.searchsorted(names, points.feature[rows]))
+    number = keyframe * len(names) + np.searchsorted(names, points.feature[rows])
+    order = np.argsort(number, kind="stable")
+    groups = Groups.of(number[order])
+    scan_s, scan = _scans(points.t_s[rows])
+    t_s, ranges, angles = points.t_s[rows][order], points.range_m[rows[order]], points.angle_rad[rows[order]]
     window, which = groups.number // len(names), groups.number % len(names)
-    mean_s = way.t_s[window] + groups.mean(t_s - way.t_s[keyframe])
+    mean_s = way.t_s[window] + groups.mean(t_s - way.t_s[keyframe[order]])
     at = _nearest(way.t_s, mean_s) if nearest else window
-    path = way.at(np.unique(np.concatenate([t_s, mean_s])))
-    place, directions = on_the_ground(path, t_s, ranges, angles, lidar)
+    path = way.at(np.union1d(scan_s, mean_s))
+    turned = path.rotation_nb
+    row = np.searchsorted(path.t_s, scan_s)[scan[order]]
+    place, directions = on_the_ground(turned, path.pos_n, row, ranges, angles, lidar)
     wrong = apart(groups, place, np.hypot(lidar.range_sigma_m, ranges * np.radians(lidar.angle_sigma_deg)))
     if wrong.any():
-        return _of_block(log, config, way, rows[~wrong], keyframe[~wrong], names, velocity_m2_s2, nearest)
-    mean, row = groups.mean(place), np.searchsorted(path.t_s, mean_s)
-    rotation, pos = path.rotation_nb[row], path.pos_n[row]
+        kept = np.sort(order[~wrong])
+        return _of_block(log, config, way, rows[kept], keyframe[kept], names, velocity_m2_s2, nearest)
+    mean, row = groups.mean(place).T, np.searchsorted(path.t_s, mean_s)
+    rotation, pos = turned[row], path.pos_n[row]
     rotation_bs, to_b = from_quaternion(lidar.T_bs_quat_wxyz), so3.transpose(from_quaternion(way.quat_nb[at]))
     away_n = mean - pos - rotation @ lidar.T_bs_pos_m
     x, y, off = (np.einsum("kji,kj->ki", rotation, away_n) @ rotation_bs).T
@@ -238,6 +244,12 @@ def _of_block(
         at, window, which, groups.count, to_b @ rotation, pos - way.pos_n[at],
         range_m, angle_rad, off, averaged, np.hypot(own, carried), mean,
     )  # fmt: skip
+
+
+def _scans(t_s: Array) -> tuple[Array, npt_int]:
+    """The different times of ascending ones, and which of them each is."""
+    new = np.diff(t_s, prepend=-np.inf) > 0
+    return t_s[new], np.cumsum(new) - 1
 
 
 def _window_s(problem: Problem) -> float:

@@ -27,3 +27,5 @@ LEG_METHODS = ("lidar-ekf",)
 UWB_METHODS = ("uwb", "uwb-vbukf", "imu-uwb", "imu-uwb-vbukf")
 #: What is of no use without motions from a camera, and what they are compared with in the stereo paper.
 STEREO_METHODS = ("sins", "stereo", "vio-kf")
+#: What looks at a camera's images.
+SIGHTED_METHODS = (*GRAPH_METHODS, "stereo", "vio-kf")

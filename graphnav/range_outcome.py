@@ -10,6 +10,7 @@ import numpy as np
 from factors.increments import npt_int
 from graphnav._observability import NOT_OBSERVABLE
 from graphnav.config import UwbConfig
+from graphnav.frontends.trilateration import usable
 from graphnav.log import Uwb
 from graphnav.range_clock import ClockScore
 from graphnav.ranges import RangeReadings
@@ -76,12 +77,18 @@ def rejected(counts: list[AnchorCount]) -> dict[str, int]:
     return {"uwb": sum(by_anchor.values()), **by_anchor} if by_anchor else {}
 
 
-def range_warnings(uwb: Uwb, counts: list[AnchorCount], calibration: dict[str, Calibration]) -> list[str]:
+def range_warnings(
+    uwb: Uwb, counts: list[AnchorCount], calibration: dict[str, Calibration], may_be: tuple[str, ...] = ()
+) -> list[str]:
     """What the user should know of the anchors: one line for one that is wrong, or for all where it might be any.
 
     Ranges of one anchor that are off by a constant are left out wholesale, and those of the others agree. Where others
     disagree too, or constants are far off, the path is a compromise, and which anchor bent it the geometry may not
     tell: with four anchors near a plane it blames the wrong one as often as the right.
+
+    Parameters
+    ----------
+    may_be : anchors of which each, off by a constant, would explain the ranges (`graphnav.anchor_doubt`).
     """
     doubted = [each for each in counts if _out(each) > _MOST and each.used + each.left_out >= _FEWEST]
     biased = {each.anchor: abs(_bias(uwb, each, calibration)) for each in counts}
@@ -105,10 +112,25 @@ def range_warnings(uwb: Uwb, counts: list[AnchorCount], calibration: dict[str, C
     if far:
         worst = max(biased[name] for name in far)
         signs.append(f"constant errors of anchors {', '.join(far)} up to {worst:.0f} times their declared sigma")
+    who = "which anchor is wrong these ranges do not tell"
+    if len(may_be) == 1:
+        who = f"anchor {may_be[0]}, off by a constant, would explain it, but along more than one path"
+    elif may_be:
+        who = f"any of the anchors {', '.join(may_be)}, off by a constant, would explain it"
     return [
-        f"UWB ranges contradict each other ({'; '.join(signs)}): positions may be metres off, and which anchor is wrong"
-        " these ranges may not tell; check all positions, or declare bias_sigma_m = 1, and the errors are estimated"
+        f"UWB ranges contradict each other ({'; '.join(signs)}): positions may be metres off, and {who}; check all"
+        " positions, or declare bias_sigma_m = 1, and the errors are estimated"
     ]
+
+
+def freed_warning(anchor: str, calibration: dict[str, Calibration]) -> str:
+    """What the user should know of an anchor whose constant was estimated, as ranges contradicted each other."""
+    found = calibration[f"uwb_bias_{anchor}"]
+    sigma = "" if found.sigma is None else f" +- {found.sigma:.3f}"
+    return (
+        f"the ranges of UWB anchor {anchor} contradicted all others: they are off by {found.value:+.3f}{sigma} m, which"
+        " was estimated; check its position, or declare bias_sigma_m in its section [[uwb.anchor]]"
+    )
 
 
 def contradictory(lines: list[str]) -> bool:
@@ -124,7 +146,8 @@ def _out(each: AnchorCount) -> float:
 def _bias(uwb: Uwb, each: AnchorCount, calibration: dict[str, Calibration]) -> float:
     """An anchor's constant error in declared sigmas; zero where none is declared."""
     found = calibration.get(f"uwb_bias_{each.anchor}")
-    return 0.0 if found is None or uwb.bias_sigma_m is None else found.value / uwb.bias_sigma_m
+    sigma = dict(zip((a.id for a in uwb.anchor), uwb.constant_sigma_m.tolist(), strict=True))[each.anchor]
+    return 0.0 if found is None or not sigma else found.value / sigma
 
 
 def clock_warnings(
@@ -167,3 +190,17 @@ def _amiss(offset_s: float) -> str:
 
 def _sigmas(score: ClockScore) -> str:
     return f"{abs(score.offset_s) / score.sigma_s:.0f}"
+
+
+def geometry_warnings(uwb: Uwb) -> list[str]:
+    """What anchors on one line cannot tell: ranges to them are the same all around it.
+
+    A path that comes close to the line may leave it on the wrong side, with small sigmas: a minimum of its own.
+    """
+    heard = [anchor.pos_n_m for anchor in uwb.anchor if (np.asarray(uwb.anchor_id) == anchor.id).any()]
+    if len(heard) > 2 and usable(np.array(heard), np.ones((1, len(heard)), bool))[0]:
+        return []
+    return [
+        f"the {len(heard)} UWB anchors heard lie on one line: on which side of it the machine is, the IMU and the start"
+        " alone tell, and where it comes near the line its path may be a mirror image; survey an anchor beside the line"
+    ]

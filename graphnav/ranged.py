@@ -29,6 +29,7 @@ from graphnav.frontends.range_epochs import (
     start_position,
 )
 from graphnav.log import InitialState, Uwb
+from graphnav.range_outcome import geometry_warnings
 from graphnav.run import Diagnostics, Run
 from graphnav.trajectory import Trajectory
 
@@ -157,7 +158,7 @@ def run_range_filter(problem: Problem, method: str, stages: Stages) -> Run:
     trajectory = Trajectory(problem.keyframe_s, pos, quat, vel, cov if problem.config.covariance else None, bridge)
     rejected = {"uwb": forward.rejected} if forward.rejected else {}
     diagnostics = replace(diagnosed(problem, method, stages), nis=innovations.to_dict(), rejected=rejected)
-    diagnostics.warnings.extend(inconsistent(innovations))
+    diagnostics.warnings.extend(inconsistent(innovations) + geometry_warnings(ranges_of(problem.log)))
     return Run(trajectory, last(known), diagnostics, problem.config, history=known, innovations=innovations)
 
 
@@ -175,7 +176,8 @@ def range_table(uwb: Uwb, *, inflate: bool) -> RangeTable:
         every_s = float(np.median(np.diff(uwb.t_s))) * len(anchors)
         markov *= np.sqrt(max(1.0, 2 * (uwb.markov_time_s or 0.0) / max(every_s, 1e-6)))
     quick = uwb.sigma_m**2 + markov**2
-    fixed = (uwb.bias_sigma_m or 0.0) ** 2 + np.array([anchors[name].sigma_m for name in uwb.anchor_id]) ** 2
+    constant = dict(zip(anchors, uwb.constant_sigma_m.tolist(), strict=True))
+    fixed = np.array([constant[name] ** 2 + anchors[name].sigma_m ** 2 for name in uwb.anchor_id])
     return RangeTable(
         uwb.t_s, uwb.range_m, np.array([anchors[name].pos_n_m for name in uwb.anchor_id]),
         np.array([levers[name] for name in uwb.tag_id]), np.sqrt(quick + fixed),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,12 +9,12 @@ import numpy as np
 
 from graphnav.config import Config
 from graphnav.errors import LogError
+from graphnav.frontends.camera_check import centre_note, refuse_wrong_camera
 from graphnav.frontends.gyro_turns import gyro_turns
+from graphnav.frontends.motion_failures import failure_note, refuse_contradiction
 from graphnav.frontends.rest import rest_spans
 from graphnav.log import RelativePose, SensorLog
 
-#: Share of motions that may fail without a word: the IMU bridges a frame or two.
-_FEW = 0.02
 Progress = Callable[[float, float], None]
 
 
@@ -40,7 +39,7 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
 
     Raises
     ------
-    LogError : images that cannot be read, or that are not those of the declared camera.
+    LogError : images that cannot be read; images, features or turns that are not those of the declared camera.
     """
     if config.stereo.form == "off" or (log.stereo_pairs is None and log.stereo_tracks is None):
         return Sighted(log)
@@ -49,6 +48,7 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
         return Sighted(log, None, (f"the table {table} is not used: declare the camera in a section [stereo]",))
     if log.stereo_tracks is None and log.relative_pose is not None:
         return Sighted(log, None, ("the images are not used: the log has relative poses already",))
+    refuse_wrong_camera(log)
     log, notes = _tracked(log, config, progress)
     if log.imu is None and log.relative_pose is not None:
         return Sighted(log, None, notes)
@@ -57,16 +57,20 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
 
 def _tracked(log: SensorLog, config: Config, progress: Progress | None) -> tuple[SensorLog, tuple[str, ...]]:
     """The log with its features followed."""
-    if log.stereo_tracks is not None:
-        return log, ()
+    if log.stereo_tracks is not None and log.stereo is not None:
+        note = centre_note(log.stereo, log.stereo_tracks)
+        return log, (note,) if note else ()
+    from graphnav.frontends.image_pairs import pair_files
+    from graphnav.frontends.image_size import size_note
+    from graphnav.frontends.skipped_pairs import skipped_notes
     from graphnav.frontends.stereo_tracks import tracked
 
     hook = None if progress is None else (lambda _, done, total: progress(done, total))
     found = tracked(log, config.stereo_tracks, progress=hook)
-    reasons = Counter(skipped.reason for skipped in found.skipped)
-    total = len(found.t_s) + len(found.skipped)
-    notes = tuple(f"{count} of {total} image pairs were not used: {reason}" for reason, count in reasons.most_common(3))
-    assert log.stereo is not None
+    assert log.stereo is not None and log.stereo_pairs is not None
+    notes = skipped_notes(log.stereo_pairs, found.skipped)
+    size = size_note(pair_files(log), log.stereo)
+    notes += (size,) if size else ()
     # what the front end adds to what the pair's calibration leaves
     disparity = float(np.hypot(log.stereo.disparity_sigma_px, config.stereo_tracks.bias_px))
     stereo = log.stereo.replace(disparity_sigma_px=disparity)
@@ -79,10 +83,9 @@ def _moved(log: SensorLog, config: Config, notes: tuple[str, ...], progress: Pro
 
     turns = None if log.imu is None or log.stereo is None else gyro_turns(log.imu, log.stereo, rest_spans(log))
     found = stereo_motions(log, config.stereo_motions, rotation_prior=turns, progress=progress)
-    links = len(found.inliers) + len(found.failures)
-    if len(found.failures) > _FEW * links:
-        reason, count = Counter(failed.reason for failed in found.failures).most_common(1)[0]
-        notes += (f"no motion from {len(found.failures)} of {links} keyframes to the next, {count} times: {reason}",)
+    refuse_contradiction(found, log.name)
+    note = failure_note(found)
+    notes += (note,) if note else ()
     if found.poses is None:
         if log.imu is None:
             raise LogError(

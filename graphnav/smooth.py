@@ -24,17 +24,22 @@ from graphnav.holes import leg_hole, range_hole
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
+from graphnav.mounting_score import mounting_warnings
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.range_outcome import (
+    AnchorCount,
     anchor_counts,
     clock_warnings,
     contradictory,
+    freed_warning,
+    geometry_warnings,
     range_residuals,
     range_warnings,
     rejected,
 )
-from graphnav.run import Diagnostics, Run
+from graphnav.rival_paths import rival_warning
+from graphnav.run import Calibration, Diagnostics, RangeResiduals, Run
 from graphnav.scanned import with_scanned_legs
 from graphnav.sighted import Sighted, with_stereo
 from graphnav.solution import Solved, solve_batch, solve_isam2
@@ -153,6 +158,7 @@ def _by_graph(problem: Problem, method: str, stages: Stages) -> Run:
     if not solved.result.converged:
         steps = solved.result.iterations
         also = "" if solved.ranges is None else " and the positions of its UWB anchors"
+        also += "" if solved.doubt is None else ", whose ranges contradict each other"
         raise SolveError.not_converged(len(steps), steps[-1].step_sigmas, also, solved.suspects)
     with stages.stage("covariance") as tick:
         blocks = covariances(problem, solved.result, tick) if problem.config.covariance else None
@@ -175,17 +181,12 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     if solved.legs is not None and problem.log.lidar is not None:
         noted += leg_warnings(problem.log.lidar, found, solved.legs, solved.legs_left_out, problem.keyframe_s)
         noted += leg_hole(solved.legs, solved.legs_left_out, problem.keyframe_s, problem.frontend.rest_s)
-    counts, residuals = [], None
-    if solved.ranges is not None and problem.log.uwb is not None:
-        counts = anchor_counts(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
-        of_anchors = range_warnings(problem.log.uwb, counts, found)
-        score = None if contradictory(of_anchors) else solved.clock_score
-        noted += of_anchors + clock_warnings(problem.config.uwb, found, solved.clock_moved, score)
-        noted += range_hole(problem.log.uwb, trajectory)
-        residuals = range_residuals(problem.log.uwb, solved.ranges, solved.ranges_left_out, values)
+    of_ranges, counts, residuals = _of_ranges(problem, solved, trajectory, found)
+    noted += of_ranges
     left_out = rejected(counts)
     if solved.camera is not None and solved.camera_left_out is not None:
         noted += camera_warnings(problem, solved.camera, solved.camera_left_out)
+        noted += mounting_warnings(solved.mounting_score)
         left_out |= left_out_counts(solved.camera_left_out)
     diagnostics = Diagnostics(
         method=method,
@@ -200,6 +201,25 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     )
     known = history(problem, values)
     return Run(trajectory, found, diagnostics, problem.config, causal, known, ranges=residuals)
+
+
+def _of_ranges(
+    problem: Problem, solved: Solved, trajectory: Trajectory, found: dict[str, Calibration]
+) -> tuple[list[str], list[AnchorCount], RangeResiduals | None]:
+    """What the user should know of the ranges, how many were left out by anchor, and what is left of each."""
+    uwb, values = problem.log.uwb, solved.result.values
+    if solved.ranges is None or uwb is None:
+        return [], [], None
+    counts = anchor_counts(uwb, solved.ranges, solved.ranges_left_out, values)
+    may_be = () if solved.doubt is None else solved.doubt.anchors
+    freed = None if solved.doubt is None or solved.doubt.problem is None else solved.doubt.problem.log.uwb
+    of_anchors = range_warnings(freed or uwb, counts, found, may_be)
+    score = None if contradictory(of_anchors) else solved.clock_score
+    lines = [] if freed is None else [freed_warning(may_be[0], found)]
+    lines += geometry_warnings(uwb) + of_anchors
+    lines += [] if solved.rival is None else [rival_warning(solved.rival, uwb)]
+    lines += clock_warnings(problem.config.uwb, found, solved.clock_moved, score) + range_hole(uwb, trajectory)
+    return lines, counts, range_residuals(uwb, solved.ranges, solved.ranges_left_out, values)
 
 
 class _CallableModule(ModuleType):

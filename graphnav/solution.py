@@ -16,21 +16,26 @@ from factors.so3 import Array
 from graphnav._memory import release
 from graphnav._stages import Stages
 from graphnav.agreement import agreeing_camera, agreeing_ranges
+from graphnav.anchor_doubt import ContradictionError, Doubt, contradicting, doubted
 from graphnav.camera import Camera, camera_readings
 from graphnav.costs import parted, suspects
+from graphnav.errors import SolveError
 from graphnav.frontends.range_epochs import is_unknown, start_position
-from graphnav.graph import FactorAt, SmoothingGraph, build_factors, build_graph
+from graphnav.graph import SmoothingGraph, build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
 from graphnav.motions import guiding_readings
+from graphnav.mounting_score import MountingScore, mounting_score
+from graphnav.native_factors import FactorAt
 from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, RangeClock, T, X
 from graphnav.range_clock import ClockScore, clock_score, estimates_clock, moved, offset_in, settled
 from graphnav.range_rounds import on_the_clock, posed_ranges
 from graphnav.ranges import RangeReadings, range_readings, uses_ranges
+from graphnav.rival_paths import Rival, rival_path
 from graphnav.solvers import absolute, batch, incremental
 from graphnav.trajectory import Trajectory
 
@@ -54,13 +59,16 @@ class Solved:
     data : the condensed sensor data that it was solved with.
     biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
     clock : with which the ranges were carried.
-    clock_score : what the ranges say of a time offset that is no variable, or None.
+    clock_score : what the ranges say of a time offset that is no variable, or None; mounting_score : what all says of
+        the camera's angles that are none.
     suspects : where it did not converge, what of the log stands out.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
     ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
     camera : what the camera said that was used, or None; camera_left_out : what disagreed.
     advances : pairs of legs tied by the push of their support, or None.
     causal : the states that an incremental solver knew from the past alone, or None.
+    doubt : where ranges contradicted each other, which anchor may be wrong; else None.
+    rival : a path that ranges fit as well, or None.
     """
 
     result: batch.BatchResult
@@ -77,6 +85,9 @@ class Solved:
     clock_moved: bool = False
     clock: RangeClock = field(default_factory=RangeClock)
     clock_score: ClockScore | None = None
+    mounting_score: MountingScore | None = None
+    doubt: Doubt | None = None
+    rival: Rival | None = None
     suspects: str = ""
 
 
@@ -146,12 +157,50 @@ def _solve_rounds(
     values: gtsam.Values,
     predicted: list[gtsam.NonlinearFactor],
 ) -> Solved:
+    """Solve; where ranges contradict each other, and one anchor's constant explains it, with that constant free."""
+    import gtsam
+
+    if not uses_ranges(problem) or problem.config.uwb.loss == "none":
+        return _rounds(problem, stages, data, values, predicted)
+    began = gtsam.Values(values)
+    try:
+        solved = _rounds(problem, stages, data, values, predicted, wary=True)
+        rival = rival_path(problem, stages, data, began, solved.result.values)
+        if rival is not None and rival.better > 0:
+            solved = _rounds(problem, stages, data, rival.values, predicted)
+        solved.rival = rival
+        return solved
+    except (ContradictionError, SolveError) as error:
+        doubt = doubted(problem, stages, data, gtsam.Values(began))
+        if doubt.problem is None and not isinstance(error, ContradictionError):
+            raise
+    if doubt.problem is None or doubt.values is None:
+        solved = _rounds(problem, stages, data, began, predicted)
+    else:
+        solved = _rounds(doubt.problem, stages, data, doubt.values, predicted)
+    solved.doubt = doubt
+    return solved
+
+
+def _rounds(
+    problem: Problem,
+    stages: Stages,
+    data: Preintegrated,
+    values: gtsam.Values,
+    predicted: list[gtsam.NonlinearFactor],
+    wary: bool = False,
+) -> Solved:
     """Solve; where the biases moved too far for first-order correction, preintegrate at the better ones and repeat.
 
     Parameters
     ----------
     data, values : condensed sensor data and the values to start from.
     predicted : absolute closed-path priors that iSAM2 made on its way; batch makes its own where there are none.
+    wary : whether to stop where ranges contradict each other.
+
+    Raises
+    ------
+    ContradictionError : they do.
     """
     config, lidar = problem.config.batch, problem.log.lidar
     problem, values = on_the_clock(problem, stages, data, values)
@@ -172,6 +221,8 @@ def _solve_rounds(
         with stages.stage("solve") as tick:
             if ranges is not None and problem.config.uwb.loss != "none":
                 values, fit = agreeing_ranges(graph, problem.config.uwb, values)
+                if wary and contradicting(problem, graph, ranges, fit, values):
+                    raise ContradictionError
                 ranges_left_out, ranges = ranges.only(~fit), ranges.only(fit)
                 graph = replace(graph, ranges=ranges.family)
             if camera is not None:
@@ -205,12 +256,16 @@ def _solve_rounds(
             score = clock_score(
                 problem, graph, ranges, smoothed_trajectory(problem, result.values, None), result.values
             )
+    sits = None
+    if camera is not None and result.converged:
+        with stages.stage("solve"):
+            sits = mounting_score(problem, graph, result.values)
     apart = parted((ranges, ranges_left_out), (camera, camera_left_out))
     suspected = "" if result.converged else suspects(graph, result.values, apart)
     result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
     return Solved(
         result, data, better, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances,
-        clock_moved=clock_moved, clock=problem.clock, clock_score=score, suspects=suspected,
+        clock_moved=clock_moved, clock=problem.clock, clock_score=score, mounting_score=sits, suspects=suspected,
     )  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors import lookup
 from factors.increments import npt_int
 from factors.stereo import StereoCamera, triangulate
 from factors.stereo_tracks import TrackFamily
@@ -55,13 +56,14 @@ class TrackReadings:
         disparity = family.pixels[:, 0] - family.pixels[:, 1]
         order = np.lexsort((-disparity, family.point_key))
         nearest = order[np.unique(family.point_key[order], return_index=True)[1]]
-        for k in nearest.tolist():
-            key = int(family.point_key[k])
+        pixels = family.pixels[nearest]
+        pixels[:, 1] = np.minimum(pixels[:, 1], pixels[:, 0] - _DISPARITY_PX)
+        point_b = triangulate(family.camera, pixels) @ family.rotation_bc.T + family.pos_bc
+        pose = lookup.poses(values, family.pose_key[nearest])
+        point_n = (pose[:, :3, :3] @ point_b[:, :, None])[..., 0] + pose[:, :3, 3]
+        for key, place_n in zip(family.point_key[nearest].tolist(), point_n, strict=True):
             if not values.exists(key):
-                pixels = family.pixels[k].copy()
-                pixels[1] = min(pixels[1], pixels[0] - _DISPARITY_PX)
-                point_b = family.rotation_bc @ triangulate(family.camera, pixels) + family.pos_bc
-                values.insert(key, values.atPose3(int(family.pose_key[k])).transformFrom(point_b))
+                values.insert(key, place_n)
 
     def prune(self, values: gtsam.Values) -> None:
         """Drop the places of features that are read no more."""

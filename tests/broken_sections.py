@@ -51,6 +51,10 @@ KEYS = {
         toml("scale_sigma", "xyz"),
         ['unknown key "xyz"', "expected one of: sigma_m_s, slip_sigma_m_s"],
     ),
+    "key of the configuration": (
+        toml("scale_sigma", 'form = "velocity"\nscale_sigma'),
+        ['unknown key "form"', "odometer.form is a choice of method: give it in the configuration (--config FILE)"],
+    ),
     "missing key": (
         toml("gyro_bias_deg_h = 720.0\n", ""),
         ["shift_042/log.toml [imu], gyro_bias_deg_h: missing key", "add gyro_bias_deg_h"],

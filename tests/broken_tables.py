@@ -203,4 +203,15 @@ VALUES = {
         text("stereo.csv", "t_s,left,right\n0,a.png,/data/b.png\n"),
         ['shift_042/stereo.csv, row 1, right: "/data/b.png"', "image path relative to the log folder"],
     ),
+    "image outside": (
+        text("stereo.csv", "t_s,left,right\n0,a.png,b.png\n1,c.png,right/../../b.png\n"),
+        [
+            'shift_042/stereo.csv, row 2, right: "right/../../b.png"',
+            "and within it; put the images into the log folder",
+        ],
+    ),
+    "image outside as in Windows": (
+        text("stereo.csv", "t_s,left,right\n0,..\\a.png,b.png\n"),
+        ['shift_042/stereo.csv, row 1, left: "..\\a.png"', "within it"],
+    ),
 }

@@ -271,6 +271,37 @@ def test_sound_pivots_are_those_of_a_well_conditioned_problem() -> None:
     assert not elimination.sound(tree, order, tree.optimize())
 
 
+class Shrinking:
+    """The slope of ``|x|^2 / 2`` understated: what is left after each step is the share q of what was before."""
+
+    def __init__(self, share: float) -> None:
+        self.share = share
+
+    def linearize(self, values: gtsam.Values) -> gtsam.GaussianFactorGraph:
+        """A step goes the part 1 - q of the way to zero; a row of no variable's makes the error fall with each."""
+        linear = gtsam.GaussianFactorGraph()
+        for key in values.keys():
+            linear.add(gtsam.JacobianFactor(key, np.eye(3), -(1 - self.share) * values.atVector(key), UNIT(3)))
+        rest = np.sqrt(sum(float(values.atVector(key) @ values.atVector(key)) for key in values.keys()))
+        linear.add(gtsam.JacobianFactor(X(0), np.zeros((1, 3)), np.array([rest]), UNIT(1)))
+        return linear
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2, 0.5])
+@pytest.mark.parametrize("landmarks", [True, False])
+def test_steps_that_shrink_end_where_what_is_left_is_small(share: float, landmarks: bool) -> None:
+    """With landmarks one step sooner where they shrink fast, and never with more left than the tolerance."""
+    _, start = marks(10)
+    found = batch.solve(Shrinking(share), start, tolerance_sigma=0.01, first=[] if landmarks else None)
+    steps = [each.step_sigmas for each in found.iterations]
+    usual = next(k for k in range(100) if steps[0] * share**k <= 0.01) + 1
+    assert found.converged
+    soon = landmarks and share < 0.25 and steps[0] * share ** (usual - 2) <= 0.03
+    assert len(steps) == usual - soon
+    left = np.sqrt(sum(np.sum(found.values.atVector(key) ** 2) for key in found.values.keys()))
+    assert left <= 0.01
+
+
 def test_a_valley_with_next_to_no_slope_is_left() -> None:
     """Errors that fall by 0.1 an iteration, each step a whole sigma: five are enough with landmarks, else never."""
     _, start = marks(10)

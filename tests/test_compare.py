@@ -26,7 +26,7 @@ from graphnav.evaluation import evaluate
 from graphnav.methods import LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
 from graphnav.readers import write
 from graphnav.report import comparison as report
-from graphnav.simulation import SCENARIOS, simulate
+from graphnav.simulation import SCENARIOS, simulate, stereo_images
 from graphnav.simulation.naming import Simulated, log_name, parse_name
 from graphnav.smooth import smooth
 
@@ -198,6 +198,32 @@ def test_seeds_are_simulated_again_in_worker_processes() -> None:
     assert row.over_seeds.nees_position.standard_error == pytest.approx(nees.standard_error)
     assert "3 seeds" in found.title
     assert row.to_dict()["over_seeds"]["runs"] == 3
+
+
+@pytest.mark.parametrize("methods", [["sins", "batch"], ["sins"]])
+def test_images_of_a_scenario_are_rendered_where_a_method_looks_at_them(
+    monkeypatch: pytest.MonkeyPatch, methods: list[str]
+) -> None:
+    """With seeds and by name, each into a folder of its own that is gone in the end."""
+    drawn, seen = [], []
+
+    def draw(scenario: str, seed: int, options: Any, folder: Path, **_: Any) -> None:
+        assert folder.is_dir() and not list(folder.iterdir())
+        drawn.append((scenario, seed, options, folder))
+
+    def judged(log: Any, *_: Any) -> Any:
+        seen.append(log.stereo_pairs.folder)
+        return "truth", 0, ()
+
+    monkeypatch.setattr(stereo_images, "render_into", draw)
+    monkeypatch.setattr(compare_module, "_compared", judged)
+    task = compare_module._Task(parse_name("roadheader-stereo_rate_hz=2"), tuple(methods), None)
+    assert task.run(3) == ()
+    compare("roadheader-stereo_seed4", methods)
+    wanted = [("roadheader-stereo", 3, {"rate_hz": 2.0}), ("roadheader-stereo", 4, {})] if "batch" in methods else []
+    assert [call[:3] for call in drawn] == wanted
+    assert seen == ([call[3] for call in drawn] or [None, None])
+    assert not any(folder.exists() for *_, folder in drawn)
 
 
 def test_seeds_need_a_scenario(tmp_path: Path) -> None:

@@ -15,15 +15,16 @@ from factors import so3
 from factors.earth import normal_gravity
 from graphnav import graph as build
 from graphnav import initial as initial_
+from graphnav import native_factors
 from graphnav import preintegration as preintegration_
 from graphnav import problem as problem_
 from graphnav._metrics import truth_at
 from graphnav.config import Config
 from graphnav.errors import LogError
 from graphnav.frontends import condense
-from graphnav.graph import FactorAt
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
+from graphnav.native_factors import FactorAt
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, K, Problem, V, X
 
@@ -214,7 +215,7 @@ def at_truth(seed: int) -> tuple[Problem, list[FactorAt], gtsam.Values, list[Fac
         values.insert(V(i), motion.vel_n[i])
     values.insert(B(0), gtsam.imuBias.ConstantBias(errors.accel_bias_m_s2, errors.gyro_bias_rad_s))
     values.insert(C(0), np.r_[errors.odometer_scale, world(MEMS, seed).mounting_rad])
-    return problem, build.build_factors(problem, data), values, build._closed_path_factors(problem)
+    return problem, build.build_factors(problem, data), values, native_factors.closed_path_factors(problem)
 
 
 def whitened(factors: list[FactorAt], values: gtsam.Values, keys: str) -> np.ndarray:
@@ -389,6 +390,6 @@ def test_an_odometer_hole_leaves_its_interval_to_the_imu() -> None:
     assert data.travel is not None
     empty = np.flatnonzero(data.travel.samples == 0)
     assert np.allclose(problem.keyframe_s[empty], [40, 41, 42, 43, 44], atol=0.5)
-    family = build.displacement_family(problem, data)
+    family = native_factors.displacement_family(problem, data)
     assert family is not None
     assert not set(empty) & set((family.key_i - X(0)).tolist())

@@ -17,10 +17,10 @@ from graphnav import problem as problem_
 from graphnav._metrics import truth_at
 from graphnav.config import Config
 from graphnav.errors import SolveError
-from graphnav.graph import FactorAt
 from graphnav.initial import States
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
+from graphnav.native_factors import FactorAt
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import Problem, V, X
 from graphnav.smooth import smooth

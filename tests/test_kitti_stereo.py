@@ -43,10 +43,16 @@ def small(tmp_path: Path) -> Path:
 
 def test_axes_and_figures(small: Path) -> None:
     log = kitti_stereo.convert(small)
-    assert log.stereo.baseline_m == 0.5
+    assert log.stereo.baseline_m == 0.5 and log.stereo.size_px is None
     np.testing.assert_array_equal(log.truth.pos_n_m[1], [1, 3, -2])  # right, ahead, up of right, down, ahead
     np.testing.assert_allclose(log.truth.quat_nb, [[1, 0, 0, 0]] * 3, atol=1e-12)
     assert (log.stereo_pairs.folder / log.stereo_pairs.left[2]).read_bytes() == b"image_l\x02"
+
+
+def test_the_size_is_that_of_the_images(small: Path) -> None:
+    head = b"\x89PNG\r\n\x1a\n" + b"\0\0\0\rIHDR" + (1226).to_bytes(4, "big") + (370).to_bytes(4, "big")
+    (small / "image_l" / "000000.png").write_bytes(head)
+    assert kitti_stereo.convert(small).stereo.size_px == (1226, 370)
 
 
 def test_import_copies_the_images(small: Path, tmp_path: Path) -> None:

@@ -20,9 +20,10 @@ from benchmarks.papers._drawn import drawn as drawn_values
 from benchmarks.papers._figures import draw
 from benchmarks.papers._judged import judge
 from benchmarks.papers._navigation import pure_inertial, reckoned
-from benchmarks.papers._page import filled, number, write
+from benchmarks.papers._page import write
 from benchmarks.papers._results import Results
 from benchmarks.papers._rows import all_rows
+from benchmarks.papers._sheet import filled, number
 from graphnav._stages import Stages
 from graphnav.config import Config
 from graphnav.errors import LogError

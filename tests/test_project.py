@@ -23,6 +23,7 @@ FLOORS = (
         "graphnav._hints",
         "graphnav._schema",
         "graphnav._memory",
+        "graphnav._pool",
         "graphnav._stages",
         "graphnav.methods",
         "graphnav.records",
@@ -58,6 +59,7 @@ FLOORS = (
     },
     {
         "graphnav.graph",
+        "graphnav.native_factors",
         "graphnav.camera",
         "graphnav.motions",
         "graphnav.camera_errors",
@@ -83,6 +85,7 @@ FLOORS = (
         "graphnav.agreement",
         "graphnav.costs",
         "graphnav.range_clock",
+        "graphnav.mounting_score",
     },
     {
         "graphnav.smooth",
@@ -101,6 +104,8 @@ FLOORS = (
         "graphnav.stops",
         "graphnav.face_line",
         "graphnav.creep",
+        "graphnav.anchor_doubt",
+        "graphnav.rival_paths",
         "graphnav.range_outcome",
         "graphnav.holes",
         "graphnav.range_rounds",

@@ -42,6 +42,7 @@ def test_a_point_is_where_the_rectified_camera_has_it() -> None:
     right = pinhole([-0.03, 0.02, -0.01], [0.22, 0.205, 0.297], -0.15)
     turned = rectification(left, right)
     camera = turned.camera
+    assert camera.size_px == SIZE
     assert camera.baseline_m == pytest.approx(np.linalg.norm(left.pos_bc_m - right.pos_bc_m), rel=1e-9)
     for point_b in np.array([[0.3, 2.2, 0.4], [-0.4, 3.2, 0.1], [0.6, 2.7, 0.9]]):
         spots = []

@@ -15,6 +15,8 @@ from graphnav.frontends import spans as sp
 from graphnav.frontends.rest import odometer_rest, rest_spans
 from graphnav.frontends.units import check_units
 from graphnav.simulation import simulate
+from graphnav.simulation.roadheader import simulate_roadheader
+from graphnav.simulation.roadheader_figures import ROADHEADER
 
 ALL_VIEWS = pytest.mark.parametrize("view", [lambda log: log, imu_only, odometer_only], ids=["both", "imu", "odometer"])
 
@@ -100,6 +102,34 @@ def test_smooth_travel_beside_rough_travel_is_not_rest_when_the_road_is_not_stra
     assert len(rest_spans(dataclasses.replace(log, imu=imu, odometer=None))) == 0
 
 
+def test_smooth_straight_travel_between_turns_is_not_rest():
+    """Turns are loud in the gyro and in nothing else: they do not tell how travel shakes this machine."""
+    log = machine(400, (-100, 500, 0.3), wobble_rad_s=0.0)
+    t = log.imu.t_s
+    turning = (t % 100 > 80) * 0.05 * np.sin(2 * np.pi * t / 3)
+    gyro = log.imu.gyro_b_rad_s + np.outer(turning, [0, 0, 1])
+    assert len(rest_spans(dataclasses.replace(log, imu=log.imu.replace(gyro_b_rad_s=gyro), odometer=None))) == 0
+    rocking = np.outer(9.8 * 0.01 * np.sin(2 * np.pi * t) * (t % 100 > 60), [1, 0, 0])  # gravity seen from a tilt
+    imu = log.imu.replace(gyro_b_rad_s=gyro, accel_b_m_s2=log.imu.accel_b_m_s2 + rocking)
+    assert len(rest_spans(dataclasses.replace(log, imu=imu, odometer=None))) > 0  # it is for want of shaking alone
+
+
+@pytest.mark.parametrize("braking_s", [1.0, 3.0, 12.0, 20.0])
+def test_a_machine_that_rocks_slowly_is_found_at_rest_and_not_while_it_brakes(braking_s):
+    """The roadheader tilts by 60 times its gyro's noise and shakes by 3 times its accelerometer's; seeds 0 to 2."""
+    speed = ROADHEADER.speed_m_s
+    spec = dataclasses.replace(
+        ROADHEADER, images=False, length_m=8.0, turns_s=(20.0, 50.0), static_s=30.0, tail_s=12.0,
+        accel_m_s2=speed / braking_s,
+    )  # fmt: skip
+    for seed in range(3):
+        log = simulate_roadheader("roadheader-stereo", spec, seed)
+        found, t_s = rest_spans(log), log.truth.t_s
+        assert len(found) == 2 and found[1, 1] - found[1, 0] > 3.0
+        inside = (t_s >= found[1, 0]) & (t_s <= found[1, 1])
+        assert np.linalg.norm(log.truth.vel_n_m_s[inside], axis=1).max() < 1e-9
+
+
 def test_a_running_engine_does_not_hide_a_standstill():
     log = machine(200, (60, 120, 0.3), shake=(0.01, 0.1), wobble_rad_s=0.3)
     found = rest_spans(log)
@@ -166,6 +196,11 @@ def test_logs_without_motion_sensors_or_with_very_few_rows():
         ):
             assert rest_spans(view).shape == (0, 2)
             assert check_units(view, NO_SPANS) == []
+
+
+def test_an_imu_without_noise_has_no_floor_to_find_rest_by():
+    log = simulate_roadheader("roadheader-stereo", dataclasses.replace(ROADHEADER, images=False), 0, noise=False)
+    assert len(rest_spans(log)) == 1  # the declared one
 
 
 def test_spans_as_sets():

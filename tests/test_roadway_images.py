@@ -16,6 +16,7 @@ from roadway_scenes import SHORT, blank, dot, expected_px, painted, rendered
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from graphnav._pool import in_order
 from graphnav.errors import ConfigError, GraphnavError
 from graphnav.simulation import render_pairs, stereo_images, write_images
 from graphnav.simulation import roadway_surfaces as on
@@ -229,13 +230,11 @@ def test_a_frame_does_not_depend_on_the_frames_before_it() -> None:
 
 def test_images_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
     short = replace(SHORT, length_m=1.0, static_s=0.5, tail_s=0.1, rate_hz=5.0, roadway=RoadwaySpec(face_m=2.0))
-    chunks = [range(0, 3), range(3, 5)]
     for workers in (1, 2):
         folder = tmp_path / str(workers)
         for side in ("left", "right"):
             (folder / side).mkdir(parents=True)
-        work = partial(stereo_images._render_chunk, folder)
-        assert list(stereo_images._mapped(work, chunks, workers, (short, 1))) == [3, 2]
+        assert len(list(in_order(partial(stereo_images._render, short, 1, folder), range(5), workers, batch=3))) == 5
     names = sorted(path.relative_to(tmp_path / "1") for path in (tmp_path / "1").rglob("*.png"))
     assert len(names) == 10
     for name in names:

@@ -180,6 +180,7 @@ def test_the_log_declares_the_figures_of_the_scenario() -> None:
     assert start.static_until_s == 60.0
     assert np.rad2deg(2 * np.arctan(212 / stereo.fx_px)) == pytest.approx(87)
     assert (stereo.fy_px, stereo.baseline_m, stereo.cx_px, stereo.cy_px) == (stereo.fx_px, 0.095, 211.5, 119.5)
+    assert stereo.size_px == (424, 240)
     assert stereo.T_bc_pos_sigma_m.tolist() == stereo.mounting_sigma_deg.tolist() == [0, 0, 0]
 
 

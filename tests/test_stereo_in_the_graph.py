@@ -96,6 +96,15 @@ def test_dark_seconds_are_bridged_with_grown_covariance() -> None:
     assert sigma[-1, 1] > 2 * errors(seen, log)[1][-1, 1]
 
 
+def test_a_time_without_frames_is_told_though_features_are_found_again() -> None:
+    log = log_of(3)
+    t_s = log.stereo_tracks.t_s
+    hole = dataclasses.replace(log, stereo_tracks=kept(log, (t_s < 80.0) | (t_s > 95.0)))
+    tracks = hole.stereo_tracks
+    assert set(tracks.track[tracks.t_s < 80.0]) & set(tracks.track[tracks.t_s > 95.0])
+    assert any("says nothing from 80 to 96 s" in line for line in smoothed(hole).diagnostics.warnings)
+
+
 def test_what_disparities_are_too_large_by_is_estimated() -> None:
     log = log_of(4)
     tracks = log.stereo_tracks

@@ -129,7 +129,7 @@ def test_frames_without_use_are_skipped(log: SensorLog, content: bytes | np.ndar
 
 def test_nothing_of_use(log: SensorLog) -> None:
     spoil(log, [*log.stereo_pairs.left, *log.stereo_pairs.right], BLACK)
-    with pytest.raises(LogError, match="none of 12 image pairs is of use; the first: left image without contrast"):
+    with pytest.raises(LogError, match=r"left_000\.png .*none of 12 image pairs is of use; .*: left image without"):
         tracked(log, SETTINGS, workers=1)
     with pytest.raises(LogError, match="none of 12 image pairs can be read"):
         tracked(with_pairs(log, folder=log.stereo_pairs.folder / "elsewhere"), SETTINGS, workers=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from benchmarks._dark_images import KINDS, NOISES, VARIANTS
@@ -10,7 +9,7 @@ from benchmarks._image_rows import MEASURES, SHOWN, Results
 from benchmarks._report import Before
 from benchmarks.papers import _enhancement_text as text
 from benchmarks.papers._enhancement_figures import draw
-from benchmarks.papers._page import filled, number, table
+from benchmarks.papers._sheet import Pictures, filled, number, save, table
 
 #: Of `MEASURES`, in their order.
 _HEADS = ("mean grey level", "rms contrast, levels", "local contrast, levels", "entropy, bit", "NIQE")
@@ -21,20 +20,16 @@ _PAPER_NIQE = "3.47 to 3.73"
 def write(path: Path, results: Results, seeds: int, before: Before) -> None:
     """Write the page and its pictures, the page whole or not at all."""
     pictures = draw(results, path.with_suffix(""))
-    links = {name: f"![{text.CAPTIONS[name]}]({os.path.relpath(file, path.parent)})" for name, file in pictures.items()}
-    parts = [text.TITLE, text.source(seeds, before), links["roadway"], text.EQUATIONS, text.settings()]
+    link = Pictures(pictures, text.CAPTIONS, path.parent).link
+    parts = [text.TITLE, text.source(seeds, before), link("roadway"), text.EQUATIONS, text.settings()]
     parts += [text.MATCHES, text.noise_text()]
     parts += [
         part for noise in NOISES for part in (f"True matches, mean of the images, {noise}:", matches(results, noise))
     ]
-    parts += [text.why_matches(results), links.get("matches", "")]
+    parts += [text.why_matches(results), link("matches")]
     parts += ["Wrong among those kept, and spread of the true ones over the image and over depth:", spread(results)]
     parts += [text.QUALITY, quality(results), text.NO_NIQMC, text.why_quality(results), text.timing(results)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.part")
-    words = [text.TITLE.strip(), *(filled(part.strip()) for part in parts[1:] if part)]  # code has empty lines
-    beside.write_text("\n\n".join(words) + "\n", encoding="utf-8")
-    beside.replace(path)
+    save(path, [text.TITLE, *map(filled, parts[1:])])  # code has empty lines
 
 
 def matches(results: Results, noise: str) -> str:

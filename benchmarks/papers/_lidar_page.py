@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from benchmarks.papers._lidar_cases import (
     label,
 )
 from benchmarks.papers._lidar_rows import Results, at_end_2, budget, largest, selection_sets
-from benchmarks.papers._page import filled, metres, number, table
+from benchmarks.papers._sheet import Pictures, filled, metres, number, save, table
 
 NAMES = {
     TRADITIONAL: "traditional dead reckoning",
@@ -56,23 +55,14 @@ def write(path: Path, results: Results, pictures: dict[str, Path], before: Befor
         parts += [text.FIGURE_7, page.selections(), page.picture("figure-7"), text.why_figure_7(results)]
     if results.first("correction"):
         parts += [text.FIGURE_8, page.correction(), page.picture("figure-8"), text.why_figure_8(results)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text("\n\n".join(filled(part.strip()) for part in parts if part) + "\n", encoding="utf-8")
-    beside.replace(path)
+    save(path, map(filled, parts))
 
 
 class Page:
     """Tables and pictures of one set of results."""
 
     def __init__(self, results: Results, pictures: dict[str, Path], folder: Path) -> None:
-        self.results, self.pictures, self.folder = results, pictures, folder
-
-    def picture(self, name: str) -> str:
-        """A link to a picture; nothing where it was not drawn."""
-        if name not in self.pictures:
-            return ""
-        return f"![{text.CAPTIONS[name]}]({os.path.relpath(self.pictures[name], self.folder)})"
+        self.results, self.picture = results, Pictures(pictures, text.CAPTIONS, folder).link
 
     def table_3(self, world: str) -> str:
         """Largest error of any cycle: the paper's, the median of the seeds, and least and most."""

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
-import textwrap
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from benchmarks._report import Before
@@ -14,6 +10,7 @@ from benchmarks.papers import _text as text
 from benchmarks.papers._cases import ESTIMATORS, FOLLOWED, GRAPH, HALF_SECOND, PRESET_STEPS, SMALL, SWEPT
 from benchmarks.papers._results import Results
 from benchmarks.papers._rows import BASE, TABLE_3
+from benchmarks.papers._sheet import Pictures, filled, metres, number, save, table
 
 NAMES = {
     "dead-reckoning none": "dead reckoning, nothing compensated",
@@ -50,23 +47,14 @@ def write(path: Path, results: Results, pictures: dict[str, Path], before: Befor
         parts += [text.settings(results), page.settings(), page.picture("error-settings"), text.why_settings(results)]
     parts += [text.GAINS, page.forms(), text.why_forms(results), page.agreement(), text.why_agreement(results)]
     parts += [text.PRESET, page.preset(), text.why_preset(results)]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text("\n\n".join(filled(part.strip()) for part in parts if part) + "\n", encoding="utf-8")
-    beside.replace(path)
+    save(path, map(filled, parts))
 
 
 class Page:
     """Tables and pictures of one set of results."""
 
     def __init__(self, results: Results, pictures: dict[str, Path], folder: Path) -> None:
-        self.results, self.pictures, self.folder = results, pictures, folder
-
-    def picture(self, name: str) -> str:
-        """A link to a picture; nothing where it was not drawn."""
-        if name not in self.pictures:
-            return ""
-        return f"![{text.CAPTIONS[name]}]({os.path.relpath(self.pictures[name], self.folder)})"
+        self.results, self.picture = results, Pictures(pictures, text.CAPTIONS, folder).link
 
     def table_3(self) -> str:
         """SEP per cycle, the paper's lines above ours."""
@@ -156,42 +144,6 @@ class Page:
 
     def _of(self, name: str) -> list[str]:
         return [f"{self.results.rms_3d_m(BASE, name):.3f}", number(self.results.nees(BASE, name))]
-
-
-def filled(part: str) -> str:
-    """Paragraphs and items broken anew, since figures change their length; everything else as it is."""
-    blocks = []
-    for block in part.split("\n\n"):
-        if block.startswith(("|", "#", "!", "`")):
-            blocks.append(block)
-            continue
-        items = re.split(r"\n(?=- )", block)
-        blocks.append("\n".join(_wrapped(item) for item in items))
-    return "\n\n".join(blocks)
-
-
-def _wrapped(item: str) -> str:
-    hanging = "  " if item.startswith("- ") else ""
-    words = " ".join(item.split())
-    return textwrap.fill(words, 120, subsequent_indent=hanging, break_long_words=False, break_on_hyphens=False)
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table, the first column left."""
-    lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
-def metres(values: Iterable[float]) -> list[str]:
-    """To millimetres, or to centimetres from 10 m on."""
-    return [f"{value:.3f}" if value < 10 else f"{value:.2f}" for value in values]
-
-
-def number(value: float | None) -> str:
-    """Three digits; whole numbers from a hundred on."""
-    if value is None:
-        return "-"
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def short(name: str) -> str:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 from benchmarks._report import Before
 from benchmarks.papers import _uwb_published as published
 from benchmarks.papers import _uwb_text as text
-from benchmarks.papers._page import filled, number, table
+from benchmarks.papers._sheet import Pictures, filled, number, save, table
 from benchmarks.papers._uwb_cases import CASES
 from benchmarks.papers._uwb_figures import NAMES
 from benchmarks.papers._uwb_rows import (
@@ -35,23 +34,14 @@ def write(path: Path, results: Results, pictures: dict[str, Path], command: str,
         text.why_attitude(results),
         *map(page.picture, ("figure-12", "figure-13")),
     ]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text("\n\n".join(filled(part.strip()) for part in parts if part) + "\n", encoding="utf-8")
-    beside.replace(path)
+    save(path, map(filled, parts))
 
 
 class Page:
     """Tables and pictures of one set of results."""
 
     def __init__(self, results: Results, pictures: dict[str, Path], folder: Path) -> None:
-        self.results, self.pictures, self.folder = results, pictures, folder
-
-    def picture(self, name: str) -> str:
-        """A link to a picture; nothing where it was not drawn."""
-        if name not in self.pictures:
-            return ""
-        return f"![{text.CAPTIONS[name]}]({os.path.relpath(self.pictures[name], self.folder)})"
+        self.results, self.picture = results, Pictures(pictures, text.CAPTIONS, folder).link
 
     def errors(self, site: str) -> str:
         """Table 4: absolute errors x and z, the paper's mean beside ours."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from benchmarks._report import Before
 from benchmarks.papers import _vio_published as published
 from benchmarks.papers import _vio_text as text
 from benchmarks.papers._judged import Array
-from benchmarks.papers._page import filled, number, table
+from benchmarks.papers._sheet import Pictures, filled, number, save, table
 from benchmarks.papers._vio_cases import CASES, ENHANCED, ENHANCED_FILTER, ENHANCED_LOOSE, GRAPH, LOOSE, RAW
 from benchmarks.papers._vio_features import ENHANCERS
 from benchmarks.papers._vio_figures import NAMES
@@ -31,10 +30,7 @@ def write(path: Path, results: Results, pictures: dict[str, Path], command: str,
         text.FEATURES, page.features(), text.why_features(results), *map(page.picture, ("figure-8", "figure-9")),
         text.GAIN, page.gain(), text.why_gain(results),
     ]  # fmt: skip
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.part")
-    beside.write_text("\n\n".join(filled(part.strip()) for part in parts if part) + "\n", encoding="utf-8")
-    beside.replace(path)
+    save(path, map(filled, parts))
 
 
 def cell(value: float, k: int) -> str:
@@ -51,13 +47,7 @@ class Page:
     """Tables and pictures of one set of results."""
 
     def __init__(self, results: Results, pictures: dict[str, Path], folder: Path) -> None:
-        self.results, self.pictures, self.folder = results, pictures, folder
-
-    def picture(self, name: str) -> str:
-        """A link to a picture; nothing where it was not drawn."""
-        if name not in self.pictures:
-            return ""
-        return f"![{text.CAPTIONS[name]}]({os.path.relpath(self.pictures[name], self.folder)})"
+        self.results, self.picture = results, Pictures(pictures, text.CAPTIONS, folder).link
 
     def asked(self) -> str:
         """The graph's largest errors against what is asked of them."""

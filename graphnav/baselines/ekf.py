@@ -32,6 +32,20 @@ _SUSPECT = "the imu table before that time, and check the declared initial attit
 _RELEASE_EVERY = 2000
 
 
+def pass_keyframes(
+    step: Callable[[int], None], last: int, inputs: Inputs, estimates: Estimates, progress: Progress | None
+) -> None:
+    """Call `step` for the keyframes 1 to `last`, letting go of memory on the way."""
+    inputs.imu.release()
+    for i in range(1, last + 1):
+        step(i)
+        if i % _RELEASE_EVERY == 0:
+            inputs.imu.release()
+            estimates.release()
+        if progress is not None and i % 100 == 0:
+            progress(i, last + 1)
+
+
 @dataclass(eq=False)
 class Filter:
     """A forward pass, keyframe by keyframe.

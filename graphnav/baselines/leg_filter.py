@@ -16,7 +16,7 @@ from factors.increments import npt_int
 from factors.landmark import seen_leg
 from factors.so3 import Array, from_quaternion
 from graphnav.baselines import strapdown
-from graphnav.baselines.ekf import Progress
+from graphnav.baselines.ekf import Progress, pass_keyframes
 from graphnav.baselines.innovations import Innovations
 from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.leg_choice import FRESH, MEASURED, Selection, choose
@@ -27,7 +27,6 @@ from graphnav.baselines.tape import Estimates
 
 #: A leg in use is given up when it seems nearer than it may by this many sigmas of the range.
 _MARGIN_SIGMAS = 5.0
-_RELEASE_EVERY = 2000
 
 
 @dataclass(frozen=True)
@@ -82,14 +81,7 @@ class LegFilter:
 
     def run(self, last: int, progress: Progress | None = None) -> None:
         """Pass the keyframes up to `last`, included."""
-        self.inputs.imu.release()
-        for i in range(1, last + 1):
-            self._step(i)
-            if i % _RELEASE_EVERY == 0:
-                self.inputs.imu.release()
-                self.estimates.release()
-            if progress is not None and i % 100 == 0:
-                progress(i, last + 1)
+        pass_keyframes(self._step, last, self.inputs, self.estimates, progress)
 
     def innovations(self) -> Innovations:
         """Of all measurements so far."""

@@ -18,7 +18,7 @@ from factors.increments import npt_int
 from factors.so3 import Array, from_quaternion
 from graphnav.baselines import measurements as measure
 from graphnav.baselines import strapdown
-from graphnav.baselines.ekf import Progress
+from graphnav.baselines.ekf import Progress, pass_keyframes
 from graphnav.baselines.innovations import Innovations
 from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.plan import prior_covariance, walks
@@ -26,7 +26,6 @@ from graphnav.baselines.squared_range import INERTIAL, interval
 from graphnav.baselines.states import ACCEL_BIAS, GYRO_BIAS, PHI, POS, SIZE, VEL, Nominal, refuse_divergence
 from graphnav.baselines.tape import Estimates
 
-_RELEASE_EVERY = 2000
 #: Names of the measurements of this filter.
 KINDS = ("squared range", "zero velocity", "zero rate")
 
@@ -110,14 +109,7 @@ class RangeFilter:
 
     def run(self, progress: Progress | None = None) -> None:
         """Pass all keyframes."""
-        count = len(self.inputs.keyframe_s)
-        for i in range(1, count):
-            self._step(i)
-            if i % _RELEASE_EVERY == 0:
-                self.inputs.imu.release()
-                self.estimates.release()
-            if progress is not None and i % 100 == 0:
-                progress(i, count)
+        pass_keyframes(self._step, len(self.inputs.keyframe_s) - 1, self.inputs, self.estimates, progress)
 
     def innovations(self) -> Innovations:
         """Of all measurements that counted."""

@@ -22,7 +22,7 @@ from factors import so3
 from factors.so3 import Array, from_quaternion
 from graphnav.baselines import kalman, strapdown
 from graphnav.baselines import measurements as measure
-from graphnav.baselines.ekf import Progress
+from graphnav.baselines.ekf import Progress, pass_keyframes
 from graphnav.baselines.innovations import Innovations
 from graphnav.baselines.inputs import PRESETS, Inputs
 from graphnav.baselines.measurements import Rows
@@ -40,7 +40,7 @@ from graphnav.baselines.stereo_rows import (
 from graphnav.baselines.tape import Estimates
 from graphnav.frontends.motion_chain import Sightings
 
-_RELEASE_EVERY, _SAME_S = 2000, 1e-6
+_SAME_S = 1e-6
 #: A rest that begins this soon is the standing start; a motion that begins this little before the IMU counts.
 _AT_START_S, _EARLY_S = 2.0, 1e-3
 #: Names of the measurements of this filter, in the order of `stereo_rows` and, from the third on, of `measurements`.
@@ -108,14 +108,7 @@ class VioFilter:
 
     def run(self, progress: Progress | None = None) -> None:
         """Pass all keyframes."""
-        count = len(self.inputs.keyframe_s)
-        for i in range(1, count):
-            self._step(i)
-            if i % _RELEASE_EVERY == 0:
-                self.inputs.imu.release()
-                self.estimates.release()
-            if progress is not None and i % 100 == 0:
-                progress(i, count)
+        pass_keyframes(self._step, len(self.inputs.keyframe_s) - 1, self.inputs, self.estimates, progress)
 
     def innovations(self) -> Innovations:
         """Of all measurements."""

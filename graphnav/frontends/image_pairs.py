@@ -6,17 +6,17 @@ An image of another size than the rest contradicts the calibration, and is an er
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from graphnav.errors import LogError
 from graphnav.frontends._opencv import Image, opencv
-from graphnav.log import SensorLog, Stereo, StereoPairs
+from graphnav.log import SensorLog, StereoPairs
 
 #: Grey levels between the darkest and the brightest hundredth, below which an image shows nothing but noise.
 _LEAST_CONTRAST = 6.0
-_FIX_FOLDER = "put the images where the stereo table says, relative to the log folder"
+#: What to do where images are not found.
+FIX_FOLDER = "put the images where the stereo table says, relative to the log folder"
 
 
 class SkippedFrame(Exception):
@@ -57,37 +57,6 @@ def _folder(pairs: StereoPairs, name: str) -> Path:
             fix="read the log from its folder, or set stereo_pairs.folder",
         )
     return Path(pairs.folder)
-
-
-def image_size(files: Sequence[PairFiles], camera: Stereo) -> tuple[int, int]:
-    """Width and height of the first image that can be read; the camera's principal point has to be inside.
-
-    Raises
-    ------
-    LogError
-        No image can be read, or the calibration is for images of another size.
-    """
-    for pair in files:
-        for path in (pair.left, pair.right):
-            try:
-                image = read_grey(path)
-            except SkippedFrame:
-                continue
-            size = (image.shape[1], image.shape[0])
-            _check_centre(camera, size, path)
-            return size
-    where = str(files[0].left) if files else "table stereo"
-    raise LogError(f"none of {len(files)} image pairs can be read", where=where, fix=_FIX_FOLDER)
-
-
-def _check_centre(camera: Stereo, size: tuple[int, int], path: Path) -> None:
-    if not (0 < camera.cx_px < size[0] and 0 < camera.cy_px < size[1]):
-        raise LogError(
-            f"image of {size[0]} x {size[1]} pixels, but the principal point is at"
-            f" ({camera.cx_px:g}, {camera.cy_px:g})",
-            where=str(path),
-            fix="give [stereo] the calibration of images of this size",
-        )
 
 
 def read_grey(path: Path) -> Image:

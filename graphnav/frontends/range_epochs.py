@@ -24,6 +24,8 @@ _SPAN_S, _VOTE_S = 0.1, 20.0
 _FIRST_S = 1.0
 #: Seconds of ranges of which initial values take medians.
 _MEDIAN_S = 0.5
+#: What serves where anchors are too few.
+_WITH_IMU = "declare pos_n_m and pos_sigma_m in [initial] and use imu-uwb, batch or isam2"
 
 
 Rows = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
@@ -67,9 +69,9 @@ class RangeEpochs:
 
 def total_sigma(uwb: Uwb) -> Array:
     """Sigma (A,) of a single range: white, Markov and constant error, and that of its anchor's survey."""
-    parts = [uwb.sigma_m, uwb.markov_sigma_m or 0.0, uwb.bias_sigma_m or 0.0]
+    parts = [uwb.sigma_m, uwb.markov_sigma_m or 0.0]
     survey = np.array([anchor.sigma_m for anchor in uwb.anchor])
-    return np.asarray(np.sqrt(np.sum(np.square(parts)) + survey**2))
+    return np.asarray(np.sqrt(np.sum(np.square(parts)) + uwb.constant_sigma_m**2 + survey**2))
 
 
 def range_epochs(log: SensorLog, span_s: float | None = None) -> RangeEpochs:
@@ -101,7 +103,7 @@ def range_epochs(log: SensorLog, span_s: float | None = None) -> RangeEpochs:
     t_s, ranges, lever = np.concatenate(times), np.concatenate(rows), np.concatenate(levers)
     good = usable(anchors, np.isfinite(ranges))
     if not good.any():
-        raise uwb.error("no three anchors answer together, as a position needs", fix="use imu-uwb, batch or isam2")
+        raise uwb.error("no three anchors answer together, as a position from ranges alone needs", fix=_WITH_IMU)
     order = np.flatnonzero(good)[np.argsort(t_s[good], kind="stable")]
     return RangeEpochs(tuple(ids), anchors, total_sigma(uwb), t_s[order], ranges[order], lever[order])
 
@@ -123,12 +125,12 @@ def _refuse_geometry(uwb: Uwb, anchors: Array) -> None:
         raise uwb.error(
             f"{len(anchors)} anchors, a position from ranges alone needs 3, and 4 to be unique",
             column="anchor",
-            fix="add anchors, or use imu-uwb, batch or isam2 with a declared initial position",
+            fix=f"add anchors, or {_WITH_IMU}",
         )
     if not usable(anchors, np.ones((1, len(anchors)), bool))[0]:
         raise uwb.error(
             "the anchors lie on one line: their ranges leave a circle of positions", column="anchor",
-            fix="add an anchor beside the line, or use imu-uwb, batch or isam2 with a declared initial position",
+            fix=f"add an anchor beside the line, or {_WITH_IMU}",
         )  # fmt: skip
 
 

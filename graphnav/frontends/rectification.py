@@ -104,4 +104,6 @@ def _camera(left: Pinhole, turn: Array, new: tuple[Any, Any]) -> Stereo:
         baseline_m=-float(new[1][0, 3]) / projection[0, 0],
         T_bc_pos_m=left.pos_bc_m,
         T_bc_quat_wxyz=so3.to_quaternion(left.rotation_bc @ turn.T),
+        width_px=left.size[0],
+        height_px=left.size[1],
     )

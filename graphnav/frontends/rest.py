@@ -21,6 +21,8 @@ _SLOW_WINDOW_S, _SLOW_MEAN_S = 3.0, 0.5
 _SPEED_SIGMAS = 5.0
 #: IMU: a level this many times the level at rest is motion.
 _LEVEL_RATIO = 2.0
+#: And motion whose median level is this many times that is told from rest beyond doubt.
+_CLEAR = 3.0
 #: Levels above these are never rest, however shaken the machine is while its odometer stands.
 _MAX_GYRO_RAD_S, _MAX_ACCEL_M_S2 = 0.05, 0.5
 #: Without an odometer a machine that starts smoothly is as quiet as one at rest while it is slow: for up to 1.7 s where
@@ -61,7 +63,7 @@ def rest_spans(log: SensorLog, *, min_length_s: float = 2.0, trim_s: float = 0.3
         found = spans.shrink(found, trim_s, min_length_s)
         found = found[[_mean_is_zero(log.odometer, span) for span in found]] if len(found) else found
     elif log.imu is not None:
-        found = spans.shrink(_imu_rest(log.imu), trim_s, max(min_length_s, 3.0))
+        found = _imu_rest(log.imu, trim_s, max(min_length_s, 3.0))
         declared = _declared(log)
         if log.uwb is not None and len(declared):
             calm = spans.shrink(_quiet_within(log.imu, declared), max(trim_s, _STARTING_S), max(min_length_s, 3.0))
@@ -131,14 +133,16 @@ def _window_times(blocks: quiet.Blocks, length_s: float) -> tuple[Array, Array]:
     return blocks.start_s[: len(blocks.start_s) - n + 1], blocks.end_s[n - 1 :]
 
 
-def _imu_rest(imu: Imu) -> Array:
+def _imu_rest(imu: Imu, trim_s: float, min_length_s: float) -> Array:
     """Rest from the IMU alone: its noise only, at both time scales, and far below the motion in this log."""
     gyro, accel = quiet.blocks(imu, imu.gyro_b_rad_s), quiet.blocks(imu, imu.accel_b_m_s2)
     if imu.dt_s > quiet.BLOCK_S or len(gyro.mean) * gyro.length_s < _SLOW_WINDOW_S:
         return spans.NONE
     densities = quiet.gyro_density(imu), quiet.accel_density(imu)
-    calm = gyro.covered(_stands_out(gyro, densities[0], imu.dt_s), _WINDOW_S)
-    calm &= accel.covered(_stands_out(accel, densities[1], imu.dt_s), _WINDOW_S)
+    clear = _clear(gyro, accel, densities, imu.dt_s)
+    if not clear:
+        return spans.NONE
+    calm = gyro.covered(_calm_windows(gyro), _WINDOW_S) & accel.covered(_calm_windows(accel), _WINDOW_S)
     constant = gyro.gapless(_SLOW_WINDOW_S) & _plausible(imu, gyro, accel)
     for blocks, density, wander in (
         (gyro, densities[0], quiet.WANDER_RAD_S),
@@ -146,20 +150,39 @@ def _imu_rest(imu: Imu) -> Array:
     ):
         allowed = np.hypot(density / np.sqrt(_SLOW_MEAN_S), wander)
         constant &= blocks.slow_level(_SLOW_WINDOW_S, _SLOW_MEAN_S) < _LEVEL_RATIO * allowed
-    return spans.from_mask(calm & gyro.covered(constant, _SLOW_WINDOW_S), gyro.start_s, gyro.end_s)
+    found = spans.from_mask(calm & gyro.covered(constant, _SLOW_WINDOW_S), gyro.start_s, gyro.end_s)
+    return spans.shrink(found, trim_s if clear == 2 else max(trim_s, _STARTING_S), min_length_s)
 
 
-def _stands_out(blocks: quiet.Blocks, density: float, dt_s: float) -> npt.NDArray[np.bool_]:
-    """Windows near the log's own floor, if that is the sensor's noise and motion is well above it."""
+def _clear(gyro: quiet.Blocks, accel: quiet.Blocks, densities: tuple[float, float], dt_s: float) -> int:
+    """How many of the two sensors tell motion in this log from rest beyond doubt; 0 where it is not told.
+
+    A log's own floor has to be the sensors' noise, and motion well above it in both; or in one, if most of what is loud
+    there is louder than rest in the other too. Shaking shows in both. A turn shows in the gyro alone, and says nothing
+    of straight travel.
+    """
+    loud = []
+    for blocks, density in zip((gyro, accel), densities, strict=True):
+        gapless, threshold = blocks.gapless(_WINDOW_S), _threshold(blocks)
+        if not 0 < threshold <= _LEVEL_RATIO * 3 * density / np.sqrt(dt_s):
+            return 0
+        loud.append(blocks.level(_WINDOW_S)[gapless] / threshold)
+    if not all((values > 1).any() for values in loud):
+        return 0
+    clear = [np.median(values[values > 1]) >= _CLEAR for values in loud]
+    both = [np.median(other[one > 1]) > 1 for one, other in (loud, loud[::-1])]
+    return 2 if all(clear) else int((clear[0] and both[0]) or (clear[1] and both[1]))
+
+
+def _threshold(blocks: quiet.Blocks) -> float:
+    """Level of motion: the lowest hundredth of the windows are taken for rest."""
     level, gapless = blocks.level(_WINDOW_S), blocks.gapless(_WINDOW_S)
-    if not gapless.any():
-        return gapless
-    floor = float(np.percentile(level[gapless], 1))
-    threshold = _LEVEL_RATIO * floor
-    moving = level[gapless & (level > threshold)]
-    if floor > 3 * density / np.sqrt(dt_s) or len(moving) == 0 or np.median(moving) < 3 * threshold:
-        return np.zeros_like(gapless)
-    calm: npt.NDArray[np.bool_] = gapless & (level < threshold)
+    return _LEVEL_RATIO * float(np.percentile(level[gapless], 1)) if gapless.any() else 0.0
+
+
+def _calm_windows(blocks: quiet.Blocks) -> npt.NDArray[np.bool_]:
+    """Windows without holes whose level is not that of motion."""
+    calm: npt.NDArray[np.bool_] = blocks.gapless(_WINDOW_S) & (blocks.level(_WINDOW_S) < _threshold(blocks))
     return calm
 
 

@@ -46,6 +46,7 @@ def cache_file(log: SensorLog, files: Sequence[PairFiles], settings: StereoTrack
         "versions": [VERSION, opencv().__version__],
         "settings": settings.model_dump(exclude={"bias_px"}),  # a figure about the tracks, not for them
         "camera": [float(value).hex() for value in figures],
+        **({} if camera.size_px is None else {"size": camera.size_px}),
         "pairs": [[pair.t_s.hex(), _state(pair.left), _state(pair.right)] for pair in files],
     }
     digest = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()

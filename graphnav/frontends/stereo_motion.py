@@ -20,18 +20,20 @@ from factors.so3 import Array
 from factors.stereo import U_LEFT, U_RIGHT, StereoCamera
 from graphnav.config import StereoMotionsConfig
 from graphnav.frontends.stereo_alignment import consensus, near_enough
-from graphnav.frontends.stereo_bundle import Bundle, Mask, Matches, RotationPrior, adjusted
+from graphnav.frontends.stereo_bundle import FREEDOM, LEAST_TOLD, Bundle, Mask, Matches, RotationPrior, adjusted
 
 #: A second motion that as many points agree with, as a share of those of the first, makes both doubtful.
 _RIVAL = 0.6
-#: Least share of the information that may not be due to the noise of the points, in any direction.
-_TOLD = 1 / 3
 #: Share of negative disparities, beyond their noise, from which the sides are taken for swapped.
 _SWAPPED = 0.5
 #: Fewest points within the gate of a sample of three for the bundle to start from it.
 _SEED = 6
 #: Errors this many times the declared ones, of points within the gate, are no noise.
 _LARGEST_SCALE = 1.6
+#: Errors larger than declared by so many sigmas may be those of one motion put between two (by chance 1 in 30,000).
+_LARGER_SIGMAS = 4.0
+#: Then the two are looked for within a gate that holds 19 of 20 right points, and the second counts from this share.
+_NARROW_SIGMAS, _NARROW_RIVAL = 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -126,14 +128,41 @@ def _doubt(
         return f"{count} of {len(matches)} matches agree on a motion, {settings.min_inliers} are needed"
     if found.scale > _LARGEST_SCALE:
         return f"errors of {found.scale:.1f} times the declared {matches.sigma_px:.2g} px"
-    if found.told < _TOLD:
+    if found.told < LEAST_TOLD:
         return "the points lie on a line, on each other or too far away: the motion they tell is mostly their noise"
     if not found.converged:
         return f"the motion that {count} matches agree on does not converge"
-    left = matches.only(~found.inlier)
-    if len(left) >= max(settings.min_inliers, _RIVAL * count):
-        rival = consensus(camera, left, settings.inlier_sigmas, rng, _RIVAL * count / len(left), far=True)
-        agreed = 0 if rival is None else int(adjusted(camera, left, *rival[:2], settings.inlier_sigmas).inlier.sum())
-        if agreed > _RIVAL * count:
-            return f"two motions: {count} matches agree on one and {agreed} others on another"
+    others = _others(camera, matches, found, settings, _RIVAL, rng)
+    if not others and _larger_than_declared(found):
+        narrow = settings.model_copy(update={"inlier_sigmas": _NARROW_SIGMAS})
+        start = consensus(camera, matches, _NARROW_SIGMAS, rng)
+        if start is not None:
+            found = adjusted(camera, matches, start[0], start[1], _NARROW_SIGMAS)
+            others = _others(camera, matches, found, narrow, _NARROW_RIVAL, rng)
+    if others:
+        return f"two motions: {int(found.inlier.sum())} matches agree on one and {others} others on another"
     return ""
+
+
+def _larger_than_declared(found: Bundle) -> bool:
+    """Whether errors are beyond chance larger than declared: by noise that is, or by a motion between two others."""
+    freedom = FREEDOM * int(found.inlier.sum()) - 6
+    return bool((found.scale**2 - 1) * np.sqrt(freedom / 2) > _LARGER_SIGMAS)
+
+
+def _others(
+    camera: StereoCamera,
+    matches: Matches,
+    found: Bundle,
+    settings: StereoMotionsConfig,
+    share: float,
+    rng: np.random.Generator,
+) -> int:
+    """How many other matches agree on another motion; 0 if they are no more than a `share` of those of this one."""
+    gate, least = settings.inlier_sigmas, share * int(found.inlier.sum())
+    left = matches.only(~found.inlier)
+    if len(left) < max(settings.min_inliers, least):
+        return 0
+    rival = consensus(camera, left, gate, rng, least / len(left), far=True)
+    agreed = 0 if rival is None else int(adjusted(camera, left, *rival[:2], gate).inlier.sum())
+    return agreed if agreed > least else 0

@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from graphnav._pool import in_order, leave_if_starting
 from graphnav._stages import ProgressHook
 from graphnav.errors import LogError
-from graphnav.frontends._pool import in_order, leave_if_starting
-from graphnav.frontends.image_pairs import PairFiles, image_size, pair_files
+from graphnav.frontends.image_pairs import PairFiles, pair_files
+from graphnav.frontends.image_size import image_size
+from graphnav.frontends.skipped_pairs import none_of_use
 from graphnav.frontends.stereo_cache import cache_file, keep, kept
 from graphnav.frontends.stereo_calibration_check import check_calibration
 from graphnav.frontends.stereo_linking import Linker, Sight
@@ -77,11 +79,8 @@ def _tracked(
     began = time.perf_counter()
     sights, skipped = _followed(log, files, settings, workers, progress)
     if not sights:
-        raise LogError(
-            f"none of {len(files)} image pairs is of use; the first: {skipped[0].reason}",
-            where=str(files[0].left),
-            fix="check the images, or choose an enhancement for dark ones (stereo_tracks.enhance)",
-        )
+        assert log.stereo_pairs is not None
+        raise none_of_use(log.stereo_pairs, skipped)
     counts = np.array([len(sight.track) for sight in sights])
     times = np.array([sight.t_s for sight in sights])
     return Tracked(_table(sights, counts), times, counts, tuple(skipped), time.perf_counter() - began)

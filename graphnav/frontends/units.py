@@ -13,14 +13,18 @@ from graphnav._coverage import span
 from graphnav._schema import Array
 from graphnav.errors import LogError
 from graphnav.frontends import quiet
+from graphnav.frontends.camera_check import camera_findings
 from graphnav.frontends.rest import odometer_rest
-from graphnav.log import Imu, InitialState, Odometer, SensorLog
+from graphnav.log import Imu, InitialState, Odometer, SensorLog, Uwb
 
 #: How many of the unit make one SI unit.
 _ACCEL_UNITS = {"g": 1 / 9.80665, "mg": 1e3 / 9.80665, "cm/s^2": 100.0, "ft/s^2": 3.28084, "mm/s^2": 1e3}
 _GYRO_UNITS = {"deg/s": np.rad2deg(1.0), "deg/h": np.rad2deg(3600.0), "mrad/s": 1e3}
 _TIME_UNITS = {"ms": 1e3, "us": 1e6, "ns": 1e9}
 _MAX_RATE_RAD_S, _MAX_SPEED_M_S = 10.0, 100.0
+#: Times by which ranges of neighbouring rows break the triangle inequality when they are in another unit: a tag abeam
+#: of two anchors shows a tenth of the scale at least in half of the rows, an anchor declared metres off some times one.
+_BROKEN, _NEIGHBOURS_S, _FEWEST_RANGES = 5.0, 0.5, 20
 _GYRO_COLUMNS, _ACCEL_COLUMNS = "gyro_*_rad_s", "accel_*_m_s2"
 
 
@@ -62,7 +66,9 @@ def _findings(log: SensorLog, spans: Array) -> list[LogError]:
         findings += _gyro(log.imu, rest)
     if log.odometer is not None:
         findings += _speed(log.odometer)
-    return findings
+    if log.uwb is not None:
+        findings += _ranges(log.uwb)
+    return findings + camera_findings(log)
 
 
 def _rows_at_rest(imu: Imu, spans: Array) -> slice | None:
@@ -189,3 +195,26 @@ def _speed(odometer: Odometer) -> list[LogError]:
         return []
     problem = f"1 % of the speeds are above {fastest:.4g} m/s; the samples seem to be in mm/s, expected m/s"
     return [odometer.error(problem, column="speed_m_s", fix="multiply them by 0.001")]
+
+
+def _ranges(uwb: Uwb) -> list[LogError]:
+    """Ranges of one tag to two anchors differ by the anchors' distance at most: metres, not centimetres."""
+    place = {anchor.id: anchor.pos_n_m for anchor in uwb.anchor}
+    anchor_n = np.array([place[name] for name in uwb.anchor_id])
+    apart_m = np.linalg.norm(np.diff(anchor_n, axis=0), axis=1)
+    known_m = sum(size or 0.0 for size in (uwb.sigma_m, uwb.bias_sigma_m, uwb.markov_sigma_m, uwb.group_sigma_m))
+    same = np.asarray(uwb.tag_id)[1:] == np.asarray(uwb.tag_id)[:-1]
+    rows = np.flatnonzero(same & (apart_m > 0) & (np.diff(uwb.t_s) < _NEIGHBOURS_S))
+    if len(rows) < _FEWEST_RANGES:
+        return []
+    differ_m = np.abs(np.diff(uwb.range_m))[rows]
+    ratio = differ_m / (apart_m[rows] + known_m + max(anchor.sigma_m for anchor in uwb.anchor))
+    if np.median(ratio) < _BROKEN:
+        return []
+    k = rows[int(np.argsort(ratio)[len(ratio) // 2])]
+    problem = (
+        f"ranges of {uwb.range_m[k]:.6g} and {uwb.range_m[k + 1]:.6g} to anchors {uwb.anchor_id[k]} and"
+        f" {uwb.anchor_id[k + 1]}, which stand {apart_m[k]:.3g} m apart, as in half of the rows; expected metres"
+    )
+    fix = "divide ranges in cm by 100, in mm by 1000; else check the anchors' pos_n_m"
+    return [uwb.error(problem, row=int(k), column="range_m", fix=fix)]

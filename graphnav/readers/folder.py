@@ -186,6 +186,12 @@ def _ranks(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def _check_image_paths(record: Record, where: str) -> None:
     for name in ("left", "right") if isinstance(record, StereoPairs) else ():
         for row, text in enumerate(getattr(record, name)):
-            if not text or PurePosixPath(text).is_absolute() or PureWindowsPath(text).is_absolute():
-                problem = f'"{text}", expected an image path relative to the log folder'
-                raise LogError(problem, where=where, row=row, column=name)
+            if not _inside(text):
+                problem = f'"{text}", expected an image path relative to the log folder, and within it'
+                raise LogError(problem, where=where, row=row, column=name, fix="put the images into the log folder")
+
+
+def _inside(text: str) -> bool:
+    """Whether a path leads to a place in the folder that it is relative to, by the rules of any system."""
+    ways = (PurePosixPath(text), PureWindowsPath(text))
+    return bool(text) and not any(way.is_absolute() or ".." in way.parts for way in ways)

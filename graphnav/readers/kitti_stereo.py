@@ -18,6 +18,7 @@ converted in Python has that as `stereo_pairs.folder`. ``graphnav import kitti-s
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,7 @@ MEASURED_FROM = 12
 #: The first pose is the origin by definition; the speed of a car is not known.
 _POS_SIGMA_M, _ATT_SIGMA_DEG, _VEL_SIGMA_M_S = 1e-3, 1e-3, 20.0
 _SIDES = ("image_l", "image_r")
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 
 def convert(source: str | Path | None) -> SensorLog:
@@ -67,7 +69,7 @@ def convert(source: str | Path | None) -> SensorLog:
         name="kitti-stereo",
         frames=_PLACE,
         initial=_initial(),
-        stereo=_camera(folder / "calib.txt"),
+        stereo=_camera(folder / "calib.txt", _png_size(folder / _SIDES[0] / names[0])),
         stereo_pairs=StereoPairs(
             t_s=t_s,
             left=[f"{_SIDES[0]}/{name}" for name in names],
@@ -104,8 +106,18 @@ def _matrices(path: Path) -> Array:
     return np.asarray(rows, float).reshape(-1, 3, 4)
 
 
-def _camera(path: Path) -> Stereo:
-    """The rectified pair; the right camera's matrix has ``-fx b`` in its last column."""
+def _png_size(path: Path) -> tuple[int, int] | None:
+    """Width and height from a PNG's header; None for what is no PNG."""
+    with path.open("rb") as file:
+        head = file.read(24)
+    if len(head) < 24 or not head.startswith(_PNG):
+        return None
+    width, height = struct.unpack(">II", head[16:])
+    return width, height
+
+
+def _camera(path: Path, size: tuple[int, int] | None) -> Stereo:
+    """The rectified pair, its images of `size`; the right camera's matrix has ``-fx b`` in its last column."""
     matrices = _matrices(path)
     if len(matrices) < 2 or not np.allclose(matrices[0, :, :3], matrices[1, :, :3]) or matrices[1, 0, 3] >= 0:
         problem = "expected the matrices of a left and a right camera that differ by -fx b alone"
@@ -118,6 +130,8 @@ def _camera(path: Path) -> Stereo:
         cy_px=left[1, 2],
         baseline_m=-matrices[1, 0, 3] / left[0, 0],
         disparity_sigma_px=DISPARITY_SIGMA_PX,
+        width_px=None if size is None else size[0],
+        height_px=None if size is None else size[1],
     )
 
 

@@ -32,6 +32,16 @@ ALL_SECTIONS: dict[str, type[Record]] = {
 _HEADER = ("format", "name", "epoch")
 
 
+def _elsewhere(cls: type[Record], key: str) -> str:
+    """Advice for a choice of method in a section of the log that the configuration has by the same name."""
+    from graphnav.config import Config
+
+    section = Config.model_fields.get(cls.SECTION)
+    if section is None or key not in getattr(section.annotation, "model_fields", {}):
+        return ""
+    return f"{cls.SECTION}.{key} is a choice of method: give it in the configuration (--config FILE), not in the log"
+
+
 def load(folder: Path) -> dict[str, Any]:
     """Parse log.toml and check its format, header and section names.
 
@@ -101,7 +111,7 @@ def params(cls: type[Record], values: Mapping[str, Any], where: str) -> dict[str
     fields = {f.name: f for f in cls.param_fields()}
     for key in values:
         if key not in fields:
-            raise LogError(f'unknown key "{key}"', where=where, fix=hint(key, fields))
+            raise LogError(f'unknown key "{key}"', where=where, fix=_elsewhere(cls, key) or hint(key, fields))
     for name, f in fields.items():
         if name not in values and f.default is dataclasses.MISSING:
             raise LogError("missing key", where=where, column=name, fix=f"add {name} to this section")

@@ -9,6 +9,8 @@ from typing import Any, ClassVar
 from graphnav._schema import Array, Record, column, param
 from graphnav.records.rotation import QUAT, XYZ, unit_quaternion
 
+#: No machine carries a pair of cameras farther apart, m.
+_LONGEST_BASELINE_M = 5.0
 _UPPER_6X6 = tuple(f"c_{i}{j}" for i in range(6) for j in range(i, 6))
 
 
@@ -16,6 +18,7 @@ _UPPER_6X6 = tuple(f"c_{i}{j}" for i in range(6) for j in range(i, 6))
 class Stereo(Record):
     """The rectified stereo camera; its left camera is c.
 
+    `width_px` and `height_px` are the size of the images that were calibrated; without them it is not checked.
     `sigma_px` is the 1-sigma error of a feature's column or row in one image, `disparity_sigma_px` of what all
     disparities are too large by (the angle between the two cameras). The camera sits in the body as declared but for
     errors of `T_bc_pos_sigma_m` (b) and angles of `mounting_sigma_deg` (``R_bc = R(T_bc_quat) Exp(angles)``,
@@ -35,10 +38,36 @@ class Stereo(Record):
     T_bc_pos_sigma_m: Array = param((0.0, 0.0, 0.0), shape=(3,), nonnegative=True)
     mounting_sigma_deg: Array = param((0.0, 0.0, 0.0), shape=(3,), nonnegative=True)
     time_offset_s: float = param(0.0)
+    width_px: int | None = param(None, kind="int")
+    height_px: int | None = param(None, kind="int")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         unit_quaternion(self, "T_bc_quat_wxyz")
+        self._check_size()
+        if self.baseline_m > _LONGEST_BASELINE_M:
+            problem = f"{self.baseline_m:g}, expected metres, {_LONGEST_BASELINE_M:g} at most"
+            raise self.error(problem, column="baseline_m", fix="multiply it by 0.001 if it is in mm")
+
+    @property
+    def size_px(self) -> tuple[int, int] | None:
+        """Width and height of the images, where declared."""
+        return None if self.width_px is None or self.height_px is None else (self.width_px, self.height_px)
+
+    def _check_size(self) -> None:
+        for name, other in (("width_px", "height_px"), ("height_px", "width_px")):
+            value = getattr(self, name)
+            if value is None and getattr(self, other) is not None:
+                raise self.error("missing key", column=name, fix=f"it comes with {other}")
+            if value is not None and value <= 0:
+                raise self.error(f"{value}, expected a number above zero", column=name)
+        if self.size_px is not None and not (self.cx_px < self.size_px[0] and self.cy_px < self.size_px[1]):
+            problem = f"({self.cx_px:g}, {self.cy_px:g}), expected a place in the image of {_by(self.size_px)}"
+            raise self.error(problem, column="cx_px, cy_px", fix="give the calibration of images of this size")
+
+
+def _by(size_px: tuple[int, int]) -> str:
+    return f"{size_px[0]} x {size_px[1]} pixels"
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,13 +21,17 @@ class UwbTag(Record):
 
 @dataclass(frozen=True, eq=False)
 class UwbAnchor(Record):
-    """A UWB anchor, surveyed or, in a `group`, known but for a rigid displacement of all anchors of that group."""
+    """A UWB anchor, surveyed or, in a `group`, known but for a rigid displacement of all anchors of that group.
+
+    `bias_sigma_m` is the sigma of its constant error where that is not the one of all anchors.
+    """
 
     SECTION: ClassVar[str] = "uwb.anchor"
     id: str = param(kind="str")
     pos_n_m: Array = param(shape=(3,))
     sigma_m: float = param(positive=True)
     group: str | None = param(None, kind="str")
+    bias_sigma_m: float | None = param(None, positive=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +70,11 @@ class Uwb(Record):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, used, declared in (("tag", self.tag_id, self.tag), ("anchor", self.anchor_id, self.anchor)):
-            known = sorted({item.id for item in declared})
+            ids = [item.id for item in declared]
+            known = sorted(set(ids))
+            if len(known) < len(ids):
+                twice = next(name for name in ids if ids.count(name) > 1)
+                raise self.error(f'{name} "{twice}" is declared twice', fix=f"keep one of its [[uwb.{name}]] sections")
             wrong = np.flatnonzero(~np.isin(used, known))
             if len(wrong):
                 raise self.error(
@@ -79,3 +87,9 @@ class Uwb(Record):
             raise self.error("markov_sigma_m and markov_time_s belong together", fix="declare both, or neither")
         if self.group_sigma_m is None and any(anchor.group is not None for anchor in self.anchor):
             raise self.error("anchors in groups without group_sigma_m", fix="declare how far a group may have moved")
+
+    @property
+    def constant_sigma_m(self) -> Array:
+        """(A,) sigma of each anchor's constant error; zero where none is declared."""
+        own = (self.bias_sigma_m if a.bias_sigma_m is None else a.bias_sigma_m for a in self.anchor)
+        return np.array([sigma or 0.0 for sigma in own])

@@ -78,6 +78,8 @@ def _stereo(spec: RoadheaderSpec, machine: Roadheader, rng: np.random.Generator,
         camera.baseline_m,
         sigma_px=spec.sigma_px,
         T_bc_pos_m=np.array(camera.lever_arm_b_m),
+        width_px=camera.width_px,
+        height_px=camera.height_px,
     )
     parts: dict[str, Any] = {"stereo": section}
     if spec.images:

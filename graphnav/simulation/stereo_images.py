@@ -9,11 +9,12 @@ from __future__ import annotations
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from collections.abc import Iterator, Mapping
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+from graphnav._pool import in_order, leave_if_starting
 from graphnav._stages import ProgressHook
 from graphnav.errors import ConfigError, GraphnavError
 from graphnav.simulation.roadheader import frame_times, image_names, machine_of
@@ -37,6 +38,7 @@ class Renderer:
     def __init__(self, spec: RoadheaderSpec, seed: int) -> None:
         machine = machine_of(spec, seed)
         self.t_s = frame_times(spec, machine)
+        self.names = image_names(len(self.t_s))
         self._pos_n, self._rot_nb = machine.poses(self.t_s)
         self._camera = StereoCamera(spec, image_seed(seed))
 
@@ -77,7 +79,7 @@ def write_images(
     ----------
     folder : of the log.
     scenario, seed, **options : as the log was simulated with.
-    workers : processes; by default one per core. The images do not depend on it.
+    workers : processes; by default one per core, for 100 pairs or more. The images do not depend on it.
     progress : called with ("images", frames done, frames in all).
 
     Raises
@@ -87,6 +89,7 @@ def write_images(
     GraphnavError
         The folder has images already, or cannot be written.
     """
+    leave_if_starting()
     _with_images(scenario, options)
     target = Path(folder)
     draft = target / f".images.{uuid.uuid4().hex[:8]}"
@@ -114,55 +117,30 @@ def render_into(
     progress: ProgressHook | None = None,
 ) -> None:
     """Render all pairs of a log to new folders ``left`` and ``right`` in `folder`; see `write_images`."""
+    leave_if_starting()
     spec = _with_images(scenario, options)
     for side in ("left", "right"):
         (folder / side).mkdir()
-    count = len(frame_times(spec, machine_of(spec, seed)))
-    chunks = [range(first, min(first + _CHUNK, count)) for first in range(0, count, _CHUNK)]
-    workers = min(workers or os.cpu_count() or 1, len(chunks))
-    done = 0
-    for frames in _mapped(partial(_render_chunk, folder), chunks, workers, (spec, seed)):
-        done += frames
+    frames = range(len(frame_times(spec, machine_of(spec, seed))))
+    work = partial(_render, spec, seed, folder)
+    for done, _ in enumerate(in_order(work, frames, workers, batch=_CHUNK), start=1):
         if progress is not None:
-            progress("images", done, count)
+            progress("images", done, len(frames))
 
 
-_renderer: Renderer | None = None
+@lru_cache(maxsize=1)
+def _renderer(spec: RoadheaderSpec, seed: int) -> Renderer:
+    """The scene, made once in each process."""
+    return Renderer(spec, seed)
 
 
-def _start(spec: RoadheaderSpec, seed: int) -> None:
-    """Make the scene once in each process."""
-    global _renderer
-    _renderer = Renderer(spec, seed)
-
-
-def _mapped(
-    work: Callable[[range], int], chunks: list[range], workers: int, scene: tuple[RoadheaderSpec, int]
-) -> Iterator[int]:
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    if workers == 1:
-        _start(*scene)
-        yield from map(work, chunks)
-        return
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_start, initargs=scene) as pool:
-        try:
-            yield from pool.map(work, chunks)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-
-
-def _render_chunk(folder: Path, frames: range) -> int:
+def _render(spec: RoadheaderSpec, seed: int, folder: Path, frame: int) -> None:
+    """Write a pair to the folders of its images."""
     from PIL import Image
 
-    assert _renderer is not None  # _start has run in this process
-    names = image_names(len(_renderer))
-    for frame in frames:
-        for side, image in zip(names, _renderer.pair(frame), strict=True):
-            Image.fromarray(image).save(folder / side[frame], compress_level=_COMPRESSION)
-    return len(frames)
+    renderer = _renderer(spec, seed)
+    for side, image in zip(renderer.names, renderer.pair(frame), strict=True):
+        Image.fromarray(image).save(folder / side[frame], compress_level=_COMPRESSION)
 
 
 def _with_images(scenario: str, options: Mapping[str, Any]) -> RoadheaderSpec:

@@ -117,23 +117,26 @@ def _alone(linear: gtsam.GaussianFactorGraph) -> list[int]:
 def sound(tree: gtsam.GaussianBayesTree, order: list[int], delta: gtsam.VectorValues) -> bool:
     """Whether Cholesky's pivots are large enough beside the diagonal of the information, see `_SOUND`.
 
-    With ``R'R`` the information, its diagonal is the sum of squares of each column of R, over all cliques.
+    If so, nothing is undetermined: round-off is smaller than that by far. With ``R'R`` the information, its diagonal is
+    the sum of squares of each column of R, over all cliques.
     """
     keys: list[int] = []
     squares, pivots = [], []
     for key in order:
         conditional = tree[key].conditional()
         if conditional.firstFrontalKey() == key:
-            r = conditional.R()
+            rows = conditional.augmentedJacobian()[:, :-1]
             keys += conditional.keys()
-            squares += [np.square(r).sum(axis=0), np.square(conditional.S()).sum(axis=0)]
-            pivots.append(np.concatenate([np.square(r.diagonal()), np.full(squares[-1].size, np.inf)]))
+            squares.append(np.einsum("ij,ij->j", rows, rows))
+            pivots.append(rows.diagonal())
     size = {key: len(delta.at(key)) for key in order}
     first = dict(zip(order, np.cumsum([0, *size.values()]).tolist(), strict=False))
     sizes = np.array([size[key] for key in keys])
-    rows = np.repeat([first[key] for key in keys] - np.cumsum(sizes) + sizes, sizes) + np.arange(sizes.sum())
-    diagonal = np.bincount(rows, np.concatenate(squares))
-    return bool((diagonal[rows] <= _SOUND * np.concatenate(pivots)).all())
+    column = np.repeat([first[key] for key in keys] - np.cumsum(sizes) + sizes, sizes) + np.arange(sizes.sum())
+    diagonal = np.bincount(column, np.concatenate(squares))
+    frontal = np.cumsum([0, *map(len, squares)])[:-1]
+    frontal = np.concatenate([np.arange(at, at + len(r)) for at, r in zip(frontal, pivots, strict=True)])
+    return bool((diagonal[column[frontal]] <= _SOUND * np.square(np.concatenate(pivots))).all())
 
 
 def check_determined(tree: gtsam.GaussianBayesTree, order: list[int]) -> None:

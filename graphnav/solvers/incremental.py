@@ -18,10 +18,11 @@ from factors.so3 import Array
 from graphnav.camera import uses_camera
 from graphnav.config import Isam2Config
 from graphnav.errors import SolveError
-from graphnav.graph import FactorAt, fed_in_blocks
+from graphnav.graph import fed_in_blocks
 from graphnav.initial import States
 from graphnav.legs import uses_legs
 from graphnav.markov_errors import slots
+from graphnav.native_factors import FactorAt
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import B, C, Problem, V, X, creep_cycles
 from graphnav.solvers.absolute import predicted_factor

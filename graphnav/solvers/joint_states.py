@@ -67,11 +67,11 @@ def graph_covariances(
     groups = {i: (*_state_keys(problem, i), *extra) for i in keyframes}
     apart = {key for keys in groups.values() for key in keys}
     chain = None if graph.chain is None else [key for key in graph.chain if key not in apart]
-    linear = graph.linearize(values)
     if causal:
+        linear = graph.linearize(values)
         found = _causal(problem, linear, groups, chain, {} if legs is None else _seen(problem, legs), progress)
     else:
-        found = _smoothed(problem, linear, groups, chain, progress)
+        found = _smoothed(problem, graph.condensed(values)[0], groups, chain, progress)
     own = 15 + 4 * problem.has_calibration
     size = own + sum(SIZES[key >> 56] for key in extra)
     to_n = np.zeros((len(keyframes), size, size))

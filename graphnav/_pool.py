@@ -23,34 +23,42 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-#: Items that a worker takes at a time, and batches per worker that are done or under way: results may be large.
-_BATCH, _AHEAD = 4, 3
+#: Items that a worker takes at a time by default.
+BATCH = 4
+#: Batches per worker that are done or under way: results may be large.
+_AHEAD = 3
 #: With fewer items than this a worker's start, about a second, costs more than it saves.
 _WORTH_IT = 100
 _UNGUARDED = (
-    "worker processes ended before they began, and the images are worked on in this process alone, which is slower. "
+    "worker processes ended before they began, and all is done in this process alone, which is slower. "
     'If this is a script of yours, put its calls under: if __name__ == "__main__":'
 )
 
 
-def in_order(work: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None) -> Iterator[Result]:
+def in_order(
+    work: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None, *, batch: int = BATCH
+) -> Iterator[Result]:
     """What `work` returns for each item, in their order.
 
     Parameters
     ----------
     work : can be pickled, as can what it returns.
     items : what it is called with.
-    workers : number of processes; 1 works in this one; None takes one per core if there are many items.
+    workers : number of processes; 1 works in this one; None takes one per core if there are many items, and none where
+        this is a worker process itself.
+    batch : items that a worker takes at a time; `work` is pickled with each batch.
     """
     leave_if_starting()
     if workers is None:
-        workers = (os.cpu_count() or 1) if len(items) >= _WORTH_IT else 1
-    if workers <= 1 or len(items) <= 1:
+        alone = len(items) < _WORTH_IT or multiprocessing.parent_process() is not None
+        workers = 1 if alone else os.cpu_count() or 1
+    workers = min(workers, -(-len(items) // batch))
+    if workers <= 1:
         yield from map(work, items)
         return
     done = 0
     try:
-        for result in _pooled(work, items, workers):
+        for result in _pooled(work, items, workers, batch):
             yield result
             done += 1
     except BrokenProcessPool:
@@ -66,20 +74,20 @@ def leave_if_starting() -> None:
         sys.exit(0)
 
 
-def _pooled(work: Callable[[Item], Result], items: Sequence[Item], workers: int) -> Iterator[Result]:
+def _pooled(work: Callable[[Item], Result], items: Sequence[Item], workers: int, batch: int) -> Iterator[Result]:
     with _single_threads(), ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
-            yield from _windowed(pool, work, items, workers * _AHEAD)
+            yield from _windowed(pool, work, items, batch, workers * _AHEAD)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _windowed(
-    pool: ProcessPoolExecutor, work: Callable[[Item], Result], items: Sequence[Item], ahead: int
+    pool: ProcessPoolExecutor, work: Callable[[Item], Result], items: Sequence[Item], batch: int, ahead: int
 ) -> Iterator[Result]:
     pending: deque[Future[list[Result]]] = deque()
-    for start in range(0, len(items), _BATCH):
-        pending.append(pool.submit(_each, work, items[start : start + _BATCH]))
+    for start in range(0, len(items), batch):
+        pending.append(pool.submit(_each, work, items[start : start + batch]))
         if len(pending) >= ahead:
             yield from pending.popleft().result()
     while pending:
