@@ -27,6 +27,8 @@ _ROWS = 3
 _NEAREST_M = 0.05
 #: No step of a point is expected to be longer, m: with this sigma, and no error, it is held to where it is.
 _FARTHEST_M = 1e3
+#: A point seen from more poses than this is not eliminated before them: what is left of it ties each to all others.
+_MOST_POSES = 200
 
 
 @dataclass(frozen=True)
@@ -122,8 +124,15 @@ class TrackFamily:
         linear.push_back(self._rest(excess))
 
     def condense_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> Condensed | None:
-        """The same with the points eliminated: they are no part of the linear graph. None without readings."""
+        """The same with the points eliminated: they are no part of the linear graph.
+
+        None without readings, and where a point is seen from so many poses that these would all be tied to each other:
+        there the points stay, as in `linearize_into`.
+        """
         if not len(self.pose_key):
+            return None
+        if np.unique(self.point_key, return_counts=True)[1].max() > _MOST_POSES:
+            self.linearize_into(linear, values)
             return None
         error, by, excess = self._weighted(values)
         rows = PointRows.sorted(self.pose_key, self.point_key, self.camera_key, error, by)

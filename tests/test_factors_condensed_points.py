@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jacobians import random_rotation
 
-from factors import condensed_points
+from factors import condensed_points, stereo_tracks
 from factors.stereo import StereoCamera, project
 from factors.stereo_tracks import TrackFamily
 
@@ -141,3 +141,14 @@ def test_a_point_behind_all_cameras_stays_where_it_is() -> None:
 def test_without_readings_there_is_nothing_to_condense() -> None:
     family, values = world(6, False)
     assert replace(family).only(np.zeros(0, int)).condense_into(gtsam.GaussianFactorGraph(), values) is None
+
+
+def test_a_point_seen_from_nearly_everywhere_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is left of it would tie every pose to every other: the linear graph is that with the points."""
+    family, values = world(7, mounted=False)
+    monkeypatch.setattr(stereo_tracks, "_MOST_POSES", 11)
+    kept, whole = gtsam.GaussianFactorGraph(), gtsam.GaussianFactorGraph()
+    assert family.condense_into(kept, values) is None
+    family.linearize_into(whole, values)
+    assert kept.keyVector() == whole.keyVector()
+    assert kept.error(values.zeroVectors()) == whole.error(values.zeroVectors())
