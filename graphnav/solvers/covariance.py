@@ -13,10 +13,11 @@ world.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import accumulate, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dpotrf, dtrtri
+from scipy.linalg.lapack import dgeqrf, dlange, dpotrf, dtrtri
 
 from factors.increments import npt_int
 from factors.so3 import Array
@@ -117,11 +118,14 @@ def _marginals(
     found: dict[int, Array] = {}
     open_cliques: dict[int, _Clique] = {}
     owner: dict[int, int] = {}
+    sizes = {key: dims(key) for key in order}
     for done, key in enumerate(reversed(order)):
         if key in owner:
             continue
-        clique = _solve_clique(tree[key], open_cliques, owner, dims, large)
-        for frontal in clique.rows:
+        before = len(owner)
+        clique = _solve_clique(tree[key], open_cliques, owner, sizes, large)
+        # a group that a factor holds is in the clique of whichever of it was eliminated first
+        for frontal in islice(clique.rows, len(owner) - before):
             for name in wanted.get(frontal, ()):
                 if name not in found and all(k in clique.rows for k in groups[name]):
                     found[name] = clique.covariance(groups[name])
@@ -134,7 +138,7 @@ def _marginals(
 
 
 def _solve_clique(
-    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], dims: Callable[[int], int], large: int | None
+    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], sizes: dict[int, int], large: int | None
 ) -> _Clique:
     conditional = node.conditional()
     if conditional.isConstrained():
@@ -143,16 +147,13 @@ def _solve_clique(
         )
     r, s = conditional.R(), conditional.S()
     keys = conditional.keys()
-    frontal_dim, rows, frontals, at = r.shape[0], {}, [], 0
-    for key in keys:
-        rows[key] = slice(at, at + dims(key))
-        if at < frontal_dim:
-            frontals.append(key)
-        at = rows[key].stop
+    ends = [*accumulate(map(sizes.__getitem__, keys), initial=0)]
+    rows = dict(zip(keys, map(slice, ends, ends[1:]), strict=False))
+    frontals = keys[: ends.index(len(r))]
     inverse, status = dtrtri(np.asfortranarray(r))
     if status != 0:
         raise SolveError.singular(ValueError(_name(frontals, rows, status - 1)))
-    if not np.abs(inverse).max() < _NO_INFORMATION:
+    if not dlange("M", inverse) < _NO_INFORMATION:
         loose = np.flatnonzero(~(np.abs(inverse).max(axis=1) < _NO_INFORMATION))
         raise SolveError.singular(ValueError(_name(frontals, rows, int(loose[0]))))
     separators, squared, parent = keys[len(frontals) :], False, None
@@ -160,7 +161,7 @@ def _solve_clique(
         # the parent holds the separator variable that was eliminated first, so it was opened last
         parent_id = max(map(owner.__getitem__, separators))
         parent = open_cliques[parent_id]
-        squared = large is not None and at - frontal_dim >= large
+        squared = large is not None and s.shape[1] >= large
     children = node.nrChildren()
     if squared:
         matrix = _squared(inverse, s, parent, separators)
@@ -212,7 +213,7 @@ def _square(wide: Array) -> Array:
     """A square lower-triangular root of ``wide wide'``, by orthogonal transformations; overwrites `wide`."""
     size = len(wide)
     packed, _, _, _ = dgeqrf(wide.T, overwrite_a=1)
-    return np.asarray(packed[:size].T * (_LOWER[:size, :size] if size <= _LARGE else np.tri(size)))
+    return np.asarray(packed[:size].T * (_LOWER[:size, :size] if size <= len(_LOWER) else np.tri(size)))
 
 
 def _cholesky(cov: Array) -> Array:
