@@ -74,7 +74,7 @@ def test_declared_figures_with_their_defaults():
     info = describe(every_sensor_log())
     assert info["declared"]["imu"]["gyro_bias_deg_h"] == 720.0
     assert info["declared"]["face"]["creep_sigma_m"] == 0.0
-    anchor = {"id": "7", "pos_n_m": [1.0, 2.0, 3.0], "sigma_m": 0.005, "group": "carrier"}
+    anchor = {"id": "7", "pos_n_m": [1.0, 2.0, 3.0], "sigma_m": 0.005, "group": "carrier", "bias_sigma_m": None}
     assert info["declared"]["uwb"]["anchor"][1] == anchor
     assert info["surveyed"][0]["end"] == "far"
     assert "t_s" not in info["declared"]["imu"]
