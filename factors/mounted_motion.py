@@ -15,7 +15,7 @@ import numpy as np
 from factors import lookup, so3
 from factors.increments import npt_int
 from factors.relative_pose import Motions
-from factors.robust import Loss, losses, weights
+from factors.robust import Loss, reweighted
 from factors.so3 import Array
 
 if TYPE_CHECKING:
@@ -115,14 +115,7 @@ class MotionFamily:
 
     def weighted(self, values: gtsam.Values) -> tuple[Array, list[Array], float]:
         """Whitened errors and Jacobians with the loss's weights, and what the loss has beyond half their squares."""
-        error, by = self.residuals(values)
-        if self.loss == "none":
-            return error, by, 0.0
-        length = np.linalg.norm(error, axis=1)
-        weight = weights(length, self.loss, self.scale)
-        excess = float((2 * losses(length, self.loss, self.scale) - weight * length**2).sum())
-        root = np.sqrt(weight)
-        return root[:, None] * error, [root[:, None, None] * each for each in by], excess
+        return reweighted(*self.residuals(values), self.loss, self.scale)
 
     def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> None:
         """Append the whitened Jacobian factors at `values`."""

@@ -38,3 +38,14 @@ def losses(error: Array, loss: Loss, scale: float) -> Array:
     if loss == "geman-mcclure":
         return np.asarray(scale**2 / 2 * ratio / (1 + ratio))
     return np.asarray(scale**2 * ratio / 2)
+
+
+def reweighted(error: Array, by: list[Array], loss: Loss, scale: float) -> tuple[Array, list[Array], float]:
+    """Errors (K, R) and Jacobians by the loss of each row's length, and the loss less half their squares, twice."""
+    if loss == "none":
+        return error, by, 0.0
+    length = np.linalg.norm(error, axis=1)
+    weight = weights(length, loss, scale)
+    excess = float((2 * losses(length, loss, scale) - weight * length**2).sum())
+    root = np.sqrt(weight)
+    return root[:, None] * error, [root[:, None, None] * each for each in by], excess

@@ -14,7 +14,7 @@ import numpy as np
 from factors import lookup, so3
 from factors.condensed_points import Condensed, PointRows
 from factors.increments import npt_int
-from factors.robust import Loss, losses, weights
+from factors.robust import Loss, reweighted
 from factors.so3 import Array
 from factors.stereo import StereoCamera, residual
 
@@ -143,14 +143,7 @@ class TrackFamily:
 
     def _weighted(self, values: gtsam.Values) -> tuple[Array, list[Array], float]:
         """`residuals` under the loss, and by how much the sum of squares falls short of the loss (twice the error)."""
-        error, by = self.residuals(values)
-        if self.loss == "none":
-            return error, by, 0.0
-        length = np.linalg.norm(error, axis=1)
-        weight = weights(length, self.loss, self.scale)
-        excess = float((2 * losses(length, self.loss, self.scale) - weight * length**2).sum())
-        root = np.sqrt(weight)
-        return root[:, None] * error, [root[:, None, None] * each for each in by], excess
+        return reweighted(*self.residuals(values), self.loss, self.scale)
 
     def _rest(self, excess: float) -> gtsam.JacobianFactor:
         """A row of no variable's, which makes the linear graph's error that of the loss."""
