@@ -1,101 +1,42 @@
-"""Solving a posed problem as a graph: condense the sensors, start from dead reckoning, solve, and repeat where the
-biases moved too far.
-"""
+"""Solving a posed problem as a graph: condense the sensors, start from dead reckoning, and solve in rounds."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors.advance import AdvanceFamily
 from factors.position import position_factor
-from factors.so3 import Array
-from graphnav._memory import release
 from graphnav._stages import Stages
-from graphnav.agreement import agreeing_camera, agreeing_ranges
-from graphnav.anchor_doubt import ContradictionError, Doubt, contradicting, doubted
-from graphnav.camera import Camera, camera_readings
-from graphnav.costs import parted, suspects
+from graphnav.anchor_doubt import ContradictionError, Doubt, doubted
 from graphnav.errors import SolveError
 from graphnav.frontends.range_epochs import is_unknown, start_position
-from graphnav.graph import SmoothingGraph, build_factors, build_graph
+from graphnav.graph import build_factors, build_graph
 from graphnav.initial import States, initial_values, start_state
-from graphnav.leg_advances import leg_advances
-from graphnav.leg_agreement import agreeing
-from graphnav.legs import LegReadings, condense, uses_legs
+from graphnav.legs import uses_legs
 from graphnav.motions import guiding_readings
-from graphnav.mounting_score import MountingScore, mounting_score
 from graphnav.native_factors import FactorAt
-from graphnav.outcome import estimated_biases, smoothed_trajectory
-from graphnav.preintegration import Preintegrated, preintegrate
-from graphnav.problem import D, L, Problem, RangeClock, T, X
-from graphnav.range_clock import ClockScore, clock_score, estimates_clock, moved, offset_in, settled
-from graphnav.range_rounds import on_the_clock, posed_ranges
-from graphnav.ranges import RangeReadings, range_readings, uses_ranges
-from graphnav.rival_paths import Rival, rival_path
-from graphnav.solvers import absolute, batch, incremental
-from graphnav.trajectory import Trajectory
+from graphnav.preintegration import Preintegrated
+from graphnav.problem import Problem, X
+from graphnav.range_rounds import posed_ranges
+from graphnav.ranges import range_readings, uses_ranges
+from graphnav.rival_paths import rival_path
+from graphnav.rounds import Solved, posed_camera, preintegrated, solved_in_rounds
+from graphnav.solvers import batch, incremental
 
 if TYPE_CHECKING:
     import gtsam
 
-
 #: Joint sigmas at which a path is good enough to bring readings of legs together along it.
 _ROUGH_SIGMAS = 1000.0
-#: Iterations after which readings of legs that contradict each other are looked for: they slow convergence down.
-_COMPROMISE = 10
-
-
-@dataclass
-class Solved:
-    """A solver's outcome.
-
-    Attributes
-    ----------
-    result : estimates and their square-root information.
-    data : the condensed sensor data that it was solved with.
-    biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
-    clock : with which the ranges were carried.
-    clock_score : what the ranges say of a time offset that is no variable, or None; mounting_score : what all says of
-        the camera's angles that are none.
-    suspects : where it did not converge, what of the log stands out.
-    legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
-    ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
-    camera : what the camera said that was used, or None; camera_left_out : what disagreed.
-    advances : pairs of legs tied by the push of their support, or None.
-    causal : the states that an incremental solver knew from the past alone, or None.
-    doubt : where ranges contradicted each other, which anchor may be wrong; else None.
-    rival : a path that ranges fit as well, or None.
-    """
-
-    result: batch.BatchResult
-    data: Preintegrated
-    biases_moved: bool
-    legs: LegReadings | None = None
-    legs_left_out: LegReadings | None = None
-    ranges: RangeReadings | None = None
-    ranges_left_out: RangeReadings | None = None
-    camera: Camera | None = None
-    camera_left_out: Camera | None = None
-    advances: AdvanceFamily | None = None
-    causal: States | None = None
-    clock_moved: bool = False
-    clock: RangeClock = field(default_factory=RangeClock)
-    clock_score: ClockScore | None = None
-    mounting_score: MountingScore | None = None
-    doubt: Doubt | None = None
-    rival: Rival | None = None
-    suspects: str = ""
 
 
 def solve_batch(problem: Problem, stages: Stages) -> Solved:
     """Batch smoothing from dead reckoning."""
     with stages.stage("assemble") as tick:
         start, gyro_bias = start_state(problem)
-        data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
+        data = preintegrated(problem, gyro_bias, np.zeros(3), tick)
         values = initial_values(problem, data, start)
     if uses_ranges(problem) and problem.has_calibration and not is_unknown(problem.initial):
         values = _roughly(problem, stages, data, values, ranges=False)
@@ -114,7 +55,7 @@ def _roughly(
     """
     with stages.stage("assemble"):
         heard = posed_ranges(problem, data, values) if ranges else None
-        graph = build_graph(problem, data, ranges=heard, camera=_camera_readings(problem, values))
+        graph = build_graph(problem, data, ranges=heard, camera=posed_camera(problem, values))
     with stages.stage("solve"):
         most = problem.config.batch.max_iterations
         return batch.solve(graph, values, max_iterations=most, tolerance_sigma=_ROUGH_SIGMAS, exact=False).values
@@ -124,7 +65,7 @@ def solve_isam2(problem: Problem, stages: Stages) -> Solved:
     """iSAM2 through the keyframes, then batch iterations from its estimate: its thresholds leave millimetres behind."""
     with stages.stage("assemble") as tick:
         start, gyro_bias = start_state(problem)
-        data = _preintegrate(problem, gyro_bias, np.zeros(3), tick)
+        data = preintegrated(problem, gyro_bias, np.zeros(3), tick)
         ranges = range_readings(problem, data.gyro_bias_b, data.accel_bias_b)
         factors = _near_the_start(problem, start) + build_factors(problem, data, ranges, guiding_readings(problem))
     with stages.stage("solve") as tick:
@@ -157,180 +98,54 @@ def _solve_rounds(
     values: gtsam.Values,
     predicted: list[gtsam.NonlinearFactor],
 ) -> Solved:
-    """Solve; where ranges contradict each other, and one anchor's constant explains it, with that constant free."""
+    """Solve; where ranges contradict each other or fit more than one path, see to that."""
     import gtsam
 
     if not uses_ranges(problem) or problem.config.uwb.loss == "none":
-        return _rounds(problem, stages, data, values, predicted)
+        return solved_in_rounds(problem, stages, data, values, predicted)
     began = gtsam.Values(values)
     try:
-        solved = _rounds(problem, stages, data, values, predicted, wary=True)
-        rival = rival_path(problem, stages, data, began, solved.result.values)
-        if rival is not None and rival.better > 0:
-            solved = _rounds(problem, stages, data, rival.values, predicted)
-        solved.rival = rival
-        return solved
+        solved = solved_in_rounds(problem, stages, data, values, predicted, wary=True)
     except (ContradictionError, SolveError) as error:
         doubt = doubted(problem, stages, data, gtsam.Values(began))
         if doubt.problem is None and not isinstance(error, ContradictionError):
             raise
-    if doubt.problem is None or doubt.values is None:
-        solved = _rounds(problem, stages, data, began, predicted)
-    else:
-        solved = _rounds(doubt.problem, stages, data, doubt.values, predicted)
-    solved.doubt = doubt
-    return solved
+        return _despite(problem, stages, data, began, predicted, doubt)
+    return _likeliest(problem, stages, data, began, predicted, solved)
 
 
-def _rounds(
+def _despite(
     problem: Problem,
     stages: Stages,
     data: Preintegrated,
     values: gtsam.Values,
     predicted: list[gtsam.NonlinearFactor],
-    wary: bool = False,
+    doubt: Doubt,
 ) -> Solved:
-    """Solve; where the biases moved too far for first-order correction, preintegrate at the better ones and repeat.
-
-    Parameters
-    ----------
-    data, values : condensed sensor data and the values to start from.
-    predicted : absolute closed-path priors that iSAM2 made on its way; batch makes its own where there are none.
-    wary : whether to stop where ranges contradict each other.
-
-    Raises
-    ------
-    ContradictionError : they do.
-    """
-    config, lidar = problem.config.batch, problem.log.lidar
-    problem, values = on_the_clock(problem, stages, data, values)
-    along: Trajectory | None = None
-    history: list[batch.Iteration] = []
-    advances: AdvanceFamily | None = None
-    for round_ in range(config.bias_move_rounds):
-        left_out = None  # what an earlier round left out may agree along a better path
-        with stages.stage("assemble"):
-            along = smoothed_trajectory(problem, values, None) if values.exists(T(0)) else None
-            readings = _leg_readings(problem, data, values)
-            advances = None if readings is None else leg_advances(problem, readings, values)
-            ranges, ranges_left_out = posed_ranges(problem, data, values, along), None
-            camera, camera_left_out = _camera_readings(problem, values), None
-            graph = build_graph(problem, data, readings, advances, ranges, camera)
-            for factor in predicted:
-                graph.native.add(factor)
-        with stages.stage("solve") as tick:
-            if ranges is not None and problem.config.uwb.loss != "none":
-                values, fit = agreeing_ranges(graph, problem.config.uwb, values)
-                if wary and contradicting(problem, graph, ranges, fit, values):
-                    raise ContradictionError
-                ranges_left_out, ranges = ranges.only(~fit), ranges.only(fit)
-                graph = replace(graph, ranges=ranges.family)
-            if camera is not None:
-                values, camera, camera_left_out = agreeing_camera(graph, problem.config, camera, values)
-                graph = graph.seen_by(camera)
-            result = _solved(problem, graph, values, tick, _COMPROMISE if readings is not None else None)
-            if problem.config.closed_path.form == "absolute" and not predicted:
-                result = absolute.solve_cycle_by_cycle(problem, graph, result)
-            history += result.iterations
-            if readings is not None and lidar is not None:
-                agree = agreeing(graph, readings, lidar, result.values)
-                if agree is None:
-                    values = result.values
-                else:  # and start afresh, away from the compromise
-                    left_out, readings = readings.only(~agree), readings.only(agree)
-                    graph = graph.only_legs(readings, lidar)
-                if agree is not None or not result.converged:
-                    result = _solved(problem, graph, values, tick)
-                    history += result.iterations
-        gyro, accel = estimated_biases(problem, result.values)
-        clock = replace(problem.clock, later_s=offset_in(result.values))
-        better, clock_moved = biases_moved(problem, data, gyro, accel), not settled(problem.clock, clock)
-        if not (better or clock_moved) or not result.converged or round_ == config.bias_move_rounds - 1:
-            break
-        with stages.stage("assemble") as tick:
-            data = _preintegrate(problem, gyro, accel, tick) if better else data
-            problem, values = moved(problem, clock), result.values
-    score = None
-    if ranges is not None and not estimates_clock(problem):
-        with stages.stage("solve"):
-            score = clock_score(
-                problem, graph, ranges, smoothed_trajectory(problem, result.values, None), result.values
-            )
-    sits = None
-    if camera is not None and result.converged:
-        with stages.stage("solve"):
-            sits = mounting_score(problem, graph, result.values)
-    apart = parted((ranges, ranges_left_out), (camera, camera_left_out))
-    suspected = "" if result.converged else suspects(graph, result.values, apart)
-    result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
-    return Solved(
-        result, data, better, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances,
-        clock_moved=clock_moved, clock=problem.clock, clock_score=score, mounting_score=sits, suspects=suspected,
-    )  # fmt: skip
+    """Ranges that contradict each other: with the constant of the only anchor that explains it free, or as they are."""
+    if doubt.problem is None or doubt.values is None:
+        solved = solved_in_rounds(problem, stages, data, values, predicted)
+    else:
+        solved = solved_in_rounds(doubt.problem, stages, data, doubt.values, predicted)
+    solved.doubt = doubt
+    return solved
 
 
-def _solved(
+def _likeliest(
     problem: Problem,
-    graph: SmoothingGraph,
-    values: gtsam.Values,
-    progress: Callable[[float, float], None] | None,
-    iterations: int | None = None,
-) -> batch.BatchResult:
-    config = problem.config.batch
-    # places and leans of legs, bilinear with the height, settle last; spread over all of them that is nothing to any
-    legs = 0 if graph.legs is None else len(np.unique(graph.legs.leg_key))
-    return batch.solve(
-        graph,
-        values,
-        max_iterations=min(config.max_iterations, iterations or config.max_iterations),
-        tolerance_sigma=config.tolerance_sigma * float(np.sqrt(1 + legs)),
-        first=graph.chain,
-        progress=progress,
-    )
-
-
-def _leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) -> LegReadings | None:
-    """LiDAR readings condensed at the poses in `values`, to which the legs' places and the calibration are added."""
-    if not uses_legs(problem):
-        return None
-    readings = condense(problem, values, data.gyro_bias_b, data.accel_bias_b)
-    if not values.exists(D(0)):
-        values.insert(D(0), np.zeros(8))
-    for j, place_n in enumerate(readings.place_n):
-        if not values.exists(L(j)):
-            values.insert(L(j), np.array([place_n[0], place_n[1], 0.0, 0.0]))
-    return readings
-
-
-def _camera_readings(problem: Problem, values: gtsam.Values) -> Camera | None:
-    """What the camera says, whose variables are added to the values."""
-    camera = camera_readings(problem)
-    if camera is not None:
-        camera.insert(problem, values)
-    return camera
-
-
-def _preintegrate(
-    problem: Problem, gyro: Array, accel: Array, progress: Callable[[float, float], None] | None
-) -> Preintegrated:
-    """Preintegrate, and let go of the raw samples' memory: the solve needs it."""
-    data = preintegrate(problem, gyro, accel, progress)
-    problem.imu.release()
-    release(problem.log.imu.t_s if problem.log.imu is not None else None)
-    return data
-
-
-def biases_moved(problem: Problem, data: Preintegrated, gyro: Array, accel: Array) -> bool:
-    """Whether the estimates left the range where first-order bias correction is exact enough.
-
-    Within a minor interval of length T a gyro bias error turns the force by half of it, an acceleration
-    ``g db T / 2``; it must stay below a twentieth of the accelerometer's declared bias, which takes it up as a
-    constant. The second-order term over an interval between keyframes of length D, ``g db^2 D^2 / 6``, likewise.
-    """
-    gyro_moved = np.abs(gyro - data.gyro_bias_b).max()
-    accel_moved = np.abs(accel - data.accel_bias_b).max()
-    length = float(np.diff(problem.keyframe_s).max())
-    gravity = problem.gravity_m_s2
-    in_minor = gravity * gyro_moved * problem.minor_s / 2
-    between = gravity * gyro_moved**2 * length**2 / 6 + accel_moved * gyro_moved * length
-    return bool(max(in_minor, between) > 0.05 * problem.noise.accel_bias)
+    stages: Stages,
+    data: Preintegrated,
+    began: gtsam.Values,
+    predicted: list[gtsam.NonlinearFactor],
+    solved: Solved,
+) -> Solved:
+    """The solution, or a path apart from it that ranges fit better; with that which they fit as well."""
+    if not solved.result.converged:
+        return solved
+    rival = rival_path(problem, stages, data, began, solved.result.values)
+    if rival is not None and rival.better > 0:
+        with suppress(SolveError):  # the solution that there is stands, and the other is told beside it
+            again = solved_in_rounds(problem, stages, data, rival.values, predicted)
+            solved = again if again.result.converged else solved
+    solved.rival = rival
+    return solved

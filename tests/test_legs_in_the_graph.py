@@ -15,10 +15,11 @@ from graphnav._stages import Stages
 from graphnav.config import Config
 from graphnav.evaluation import evaluate
 from graphnav.leg_priors import lidar_sigmas
+from graphnav.rounds import leg_readings
 from graphnav.simulation.lidar import draw_lidar_errors
 from graphnav.simulation.world import streams
 from graphnav.smooth import posed, smooth
-from graphnav.solution import _leg_readings, solve_batch
+from graphnav.solution import solve_batch
 
 SEEDS = range(4)
 
@@ -63,7 +64,7 @@ def test_nothing_is_lost_in_condensing() -> None:
     """Every detection within the record is in one reading, and no reading mixes legs."""
     problem = posed(replace(log(), truth=None), Config(), Stages(None))
     solved = solve_batch(problem, Stages(None))
-    readings = _leg_readings(problem, solved.data, solved.result.values)
+    readings = leg_readings(problem, solved.data, solved.result.values)
     points = log().lidar_points
     assert readings is not None
     assert readings.count.sum() == len(points)
@@ -76,7 +77,7 @@ def test_residuals_are_of_the_declared_size(seed: int) -> None:
     """Chi-square of the readings by their number less what was estimated: 1, within what a model of noise can give."""
     problem = posed(replace(log(seed), truth=None), Config(), Stages(None))
     solved = solve_batch(problem, Stages(None))
-    readings = _leg_readings(problem, solved.data, solved.result.values)
+    readings = leg_readings(problem, solved.data, solved.result.values)
     error, *_ = readings.family(log(seed).lidar).residuals(solved.result.values)
     freedom = error.size - 4 * len(readings.feature)
     assert 0.8 < float((error**2).sum()) / freedom < 1.25

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 from test_stereo_in_the_graph import log_of, smoothed
 
-import graphnav.solution
+import graphnav.rounds
 from factors import so3
 from graphnav.log import SensorLog
 from graphnav.mounting_score import MountingScore, mounting_score, mounting_warnings
@@ -36,7 +36,7 @@ def scored(seed: int, down: float) -> tuple[Run, MountingScore | None]:
         return found[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(graphnav.solution, "mounting_score", spied)
+        patch.setattr(graphnav.rounds, "mounting_score", spied)
         run = smoothed(turned(log_of(seed), down=down))
     return run, found[-1]
 

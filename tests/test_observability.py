@@ -26,11 +26,12 @@ from graphnav.observability import FACE_STATES, STATES, Observability, analyse, 
 from graphnav.problem import B, C, V, X
 from graphnav.report.observability import plot, render
 from graphnav.report.text import to_json
+from graphnav.rounds import Solved
 from graphnav.run import DEG_H, DEGREE, MG
 from graphnav.simulation.motion import Motion
 from graphnav.simulation.sensors import earth_rate_n, inertial_samples
 from graphnav.smooth import posed
-from graphnav.solution import Solved, solve_batch
+from graphnav.solution import solve_batch
 from graphnav.solvers.joint_states import graph_covariances
 
 GRAVITY = 9.7973

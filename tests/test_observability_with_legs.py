@@ -21,11 +21,12 @@ from graphnav.log import SensorLog
 from graphnav.observability import FACE_STATES, LIDAR_STATES, Observability, of_graph
 from graphnav.problem import B, C, D, Problem, V, X
 from graphnav.report.observability import plot, render
+from graphnav.rounds import Solved
 from graphnav.run import ACCEL_NAMES, GYRO_NAMES, LIDAR_NAMES, ODOMETER_NAMES
 from graphnav.simulation.lidar import draw_lidar_errors
 from graphnav.simulation.world import streams
 from graphnav.smooth import posed
-from graphnav.solution import Solved, solve_batch
+from graphnav.solution import solve_batch
 from graphnav.solvers import joint_states
 from graphnav.solvers.joint_states import graph_covariances
 

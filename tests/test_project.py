@@ -92,6 +92,7 @@ FLOORS = (
         "graphnav.outcome",
         "graphnav.scanned",
         "graphnav.sighted",
+        "graphnav.rounds",
         "graphnav.solution",
         "graphnav.filtered",
         "graphnav.leg_filtered",

@@ -10,13 +10,13 @@ import re
 from collections import Counter
 
 from graphnav.errors import LogError
+from graphnav.frontends.stereo_motion import BY_IMU
 from graphnav.frontends.stereo_odometry import FailedMotion, StereoMotions
 
 #: Share of motions that may fail without a word: the IMU bridges a frame or two.
 _FEW = 0.02
 #: Share of motions that contradict the gyro from which on the log is refused, and the fewest motions to judge by.
 _MOST, _LEAST_LINKS = 0.5, 10
-_BY_IMU = "from that of the IMU"
 _SUSPECTS = (
     "[stereo] may not be this camera's calibration (fx_px, cx_px, cy_px, T_bc_quat_wxyz), or its clock be off"
     " (time_offset_s)"
@@ -60,7 +60,7 @@ def _links(found: StereoMotions) -> int:
 
 
 def _by_imu(failed: FailedMotion) -> bool:
-    return failed.reason.endswith(_BY_IMU)
+    return failed.reason.endswith(BY_IMU)
 
 
 def _kind(failed: FailedMotion) -> str:

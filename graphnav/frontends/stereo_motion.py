@@ -34,6 +34,8 @@ _LARGEST_SCALE = 1.6
 _LARGER_SIGMAS = 4.0
 #: Then the two are looked for within a gate that holds 19 of 20 right points, and the second counts from this share.
 _NARROW_SIGMAS, _NARROW_RIVAL = 2.0, 0.5
+#: How the reason ends of a motion whose rotation is not the gyro's: `motion_failures` counts these apart.
+BY_IMU = "from that of the IMU"
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ def stereo_motion(
     if prior is not None and settings.rotation_prior != "off":
         away = turn_sigmas(found, prior)
         if away > settings.rotation_gate_sigmas:
-            return MotionFailure(f"the rotation is {away:.1f} sigmas from that of the IMU")
+            return MotionFailure(f"the rotation is {away:.1f} sigmas {BY_IMU}")
         if settings.rotation_prior == "fuse":
             found = adjusted(camera, matches, found.rotation, found.pos_m, settings.inlier_sigmas, prior)
     return StereoMotion(found.rotation, found.pos_m, found.cov, found.inlier, found.scale)
