@@ -21,6 +21,7 @@ from graphnav.simulation.scenarios import FULL_SHIFT
 from graphnav.smooth import smooth
 from graphnav.solvers import batch
 from graphnav.solvers import covariance as covariance_
+from graphnav.solvers.clique_blocks import squared_blocks
 from graphnav.solvers.covariance import joint_marginals
 
 DIMS = {"x": 6, "v": 3, "b": 6, "c": 4}
@@ -118,6 +119,29 @@ def test_p_in_place_of_its_root_says_the_same(seed: int, monkeypatch: pytest.Mon
     assert used
     for key, cov in roots.items():
         assert_same(found[key], cov, 1e-6)
+
+
+@pytest.mark.parametrize("front, wide", [(1, 1), (6, 40), (30, 3)])
+def test_compiled_blocks_are_those_of_the_equation(front: int, wide: int) -> None:
+    """A clique's joint covariance is the inverse of its information added to its separator's."""
+    rng = np.random.default_rng(front)
+    r = np.triu(rng.normal(size=(front, front)), 1) + np.diag(rng.uniform(2.0, 3.0, front))
+    s, root = rng.normal(size=(front, wide)), rng.normal(size=(wide + 5, wide + 9))
+    parent, rows = root @ root.T, rng.permutation(wide + 5)[:wide]
+    found, good = squared_blocks(np.ascontiguousarray(np.linalg.inv(r)), s, parent, rows, 1e-4)
+    information = np.hstack([r, s]).T @ np.hstack([r, s])
+    information[front:, front:] += np.linalg.inv(parent[np.ix_(rows, rows)])
+    expected = np.linalg.inv(information)
+    assert good
+    sigma = np.sqrt(expected.diagonal())
+    assert np.abs((found - expected) / np.outer(sigma, sigma)).max() < 1e-9
+
+
+def test_compiled_blocks_tell_what_is_known_to_the_separator_alone() -> None:
+    """A sigma given the separator of 1e-5 of the sigma: P would lose digits."""
+    cov, good = squared_blocks(np.array([[1e-5]]), np.array([[1e5]]), np.ones((1, 1)), np.array([0]), 1e-4)
+    assert np.isclose(cov[0, 0], 1.0)
+    assert not good
 
 
 def test_where_p_would_lose_digits_roots_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,14 +13,16 @@ world.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from itertools import accumulate, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf, dpotrf, dtrtri
+from scipy.linalg.lapack import dgeqrf, dlange, dpotrf, dtrtri
 
 from factors.increments import npt_int
 from factors.so3 import Array
 from graphnav.errors import SolveError
+from graphnav.solvers.clique_blocks import squared_blocks
 
 if TYPE_CHECKING:
     import gtsam
@@ -35,6 +37,7 @@ _CONDITIONED = 1e-4
 
 
 _ROWS = np.arange(1 << 16)
+_LOWER = np.tri(_LARGE)
 
 
 class _IllConditionedError(Exception):
@@ -52,16 +55,18 @@ class _Clique:
     def covariance(self, keys: Iterable[int]) -> Array:
         """Joint covariance of `keys`."""
         part = self._rows(keys)
-        return part[:, self._columns(keys)] if self.squared else np.asarray(part @ part.T)
+        return part[:, self.columns(keys)] if self.squared else np.asarray(part @ part.T)
 
-    def root(self, keys: Iterable[int]) -> Array:
-        """A square root of it."""
-        return _cholesky(self.covariance(keys)) if self.squared else _square(self._rows(keys))
+    def root(self, keys: Iterable[int], square: bool) -> Array:
+        """A root of it, `square` or as wide as comes."""
+        if self.squared:
+            return _cholesky(self.covariance(keys))
+        return _square(self._rows(keys)) if square else self._rows(keys)
 
     def _rows(self, keys: Iterable[int]) -> Array:
         return np.concatenate([self.matrix[self.rows[k]] for k in keys])
 
-    def _columns(self, keys: Iterable[int]) -> npt_int:
+    def columns(self, keys: Iterable[int]) -> npt_int:
         return np.concatenate([_ROWS[self.rows[k]] for k in keys])
 
 
@@ -113,11 +118,14 @@ def _marginals(
     found: dict[int, Array] = {}
     open_cliques: dict[int, _Clique] = {}
     owner: dict[int, int] = {}
+    sizes = {key: dims(key) for key in order}
     for done, key in enumerate(reversed(order)):
         if key in owner:
             continue
-        clique = _solve_clique(tree[key], open_cliques, owner, dims, large)
-        for frontal in clique.rows:
+        before = len(owner)
+        clique = _solve_clique(tree[key], open_cliques, owner, sizes, large)
+        # a group that a factor holds is in the clique of whichever of it was eliminated first
+        for frontal in islice(clique.rows, len(owner) - before):
             for name in wanted.get(frontal, ()):
                 if name not in found and all(k in clique.rows for k in groups[name]):
                     found[name] = clique.covariance(groups[name])
@@ -130,7 +138,7 @@ def _marginals(
 
 
 def _solve_clique(
-    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], dims: Callable[[int], int], large: int | None
+    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], sizes: dict[int, int], large: int | None
 ) -> _Clique:
     conditional = node.conditional()
     if conditional.isConstrained():
@@ -139,26 +147,29 @@ def _solve_clique(
         )
     r, s = conditional.R(), conditional.S()
     keys = conditional.keys()
-    frontal_dim, rows, frontals, at = r.shape[0], {}, [], 0
-    for key in keys:
-        rows[key] = slice(at, at + dims(key))
-        if at < frontal_dim:
-            frontals.append(key)
-        at = rows[key].stop
+    ends = [*accumulate(map(sizes.__getitem__, keys), initial=0)]
+    rows = dict(zip(keys, map(slice, ends, ends[1:]), strict=False))
+    frontals = keys[: ends.index(len(r))]
     inverse, status = dtrtri(np.asfortranarray(r))
     if status != 0:
         raise SolveError.singular(ValueError(_name(frontals, rows, status - 1)))
-    loose = np.flatnonzero(~(np.abs(inverse).max(axis=1) < _NO_INFORMATION))
-    if len(loose):
+    if not dlange("M", inverse) < _NO_INFORMATION:
+        loose = np.flatnonzero(~(np.abs(inverse).max(axis=1) < _NO_INFORMATION))
         raise SolveError.singular(ValueError(_name(frontals, rows, int(loose[0]))))
     separators, squared, parent = keys[len(frontals) :], False, None
     if separators:
         # the parent holds the separator variable that was eliminated first, so it was opened last
-        parent_id = max(owner[k] for k in separators)
+        parent_id = max(map(owner.__getitem__, separators))
         parent = open_cliques[parent_id]
-        squared = large is not None and at - frontal_dim >= large
-    solve = _squared if squared else _rooted
-    clique = _Clique(solve(inverse, s, parent, separators), rows, squared, node.nrChildren())
+        squared = large is not None and s.shape[1] >= large
+    children = node.nrChildren()
+    if squared:
+        matrix = _squared(inverse, s, parent, separators)
+    else:
+        # what is handed on stays square, lest it grow from child to child
+        root = np.zeros((0, 0)) if parent is None else parent.root(separators, square=children > 0)
+        matrix = _rooted(inverse, s, root)
+    clique = _Clique(matrix, rows, squared, children)
     if parent is not None:
         parent.waiting -= 1
         if parent.waiting == 0:
@@ -171,15 +182,13 @@ def _solve_clique(
     return clique
 
 
-def _rooted(inverse: Array, s: Array, parent: _Clique | None, separators: list[int]) -> Array:
+def _rooted(inverse: Array, s: Array, separator_root: Array) -> Array:
     """A root of a clique's covariance from that of its separator: ``[[R^-1, -R^-1 S L_p], [0, L_p]]``."""
-    front, size = len(inverse), len(inverse) + s.shape[1]
-    root = np.zeros((size, size))
+    front, (size, wide) = len(inverse), separator_root.shape
+    root = np.zeros((front + size, front + wide))
     root[:front, :front] = inverse
-    if parent is not None:
-        separator_root = parent.root(separators)
-        root[:front, front:] = -inverse @ (s @ separator_root)
-        root[front:, front:] = separator_root
+    root[:front, front:] = -inverse @ (s @ separator_root)
+    root[front:, front:] = separator_root
     return root
 
 
@@ -191,24 +200,20 @@ def _squared(inverse: Array, s: Array, parent: _Clique | None, separators: list[
     _IllConditionedError : a variable known to its separator far better than to the world.
     """
     assert parent is not None
-    front, size = len(inverse), len(inverse) + s.shape[1]
-    cov = np.empty((size, size))
-    separator_cov = parent.covariance(separators)
-    gain = inverse @ s
-    cov[front:, front:] = separator_cov
-    cov[:front, front:] = -gain @ separator_cov
-    cov[front:, :front] = cov[:front, front:].T
-    given = inverse @ inverse.T
-    cov[:front, :front] = given - cov[:front, front:] @ gain.T
-    if not (given.diagonal() > _CONDITIONED**2 * cov.diagonal()[:front]).all():
+    known, rows = parent.matrix, parent.columns(separators)
+    if not parent.squared:
+        known, rows = parent.covariance(separators), _ROWS[: len(rows)]
+    cov, good = squared_blocks(np.ascontiguousarray(inverse), np.ascontiguousarray(s), known, rows, _CONDITIONED)
+    if not good:
         raise _IllConditionedError
     return cov
 
 
 def _square(wide: Array) -> Array:
-    """A square lower-triangular root of ``wide wide'``, by orthogonal transformations."""
-    packed, _, _, _ = dgeqrf(wide.T)
-    return np.asarray(np.triu(packed[: len(wide)]).T)
+    """A square lower-triangular root of ``wide wide'``, by orthogonal transformations; overwrites `wide`."""
+    size = len(wide)
+    packed, _, _, _ = dgeqrf(wide.T, overwrite_a=1)
+    return np.asarray(packed[:size].T * (_LOWER[:size, :size] if size <= len(_LOWER) else np.tri(size)))
 
 
 def _cholesky(cov: Array) -> Array:

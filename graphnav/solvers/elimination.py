@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.increments import npt_int
 from graphnav.errors import SolveError
 
 if TYPE_CHECKING:
@@ -129,14 +130,20 @@ def sound(tree: gtsam.GaussianBayesTree, order: list[int], delta: gtsam.VectorVa
             keys += conditional.keys()
             squares.append(np.einsum("ij,ij->j", rows, rows))
             pivots.append(rows.diagonal())
-    size = {key: len(delta.at(key)) for key in order}
-    first = dict(zip(order, np.cumsum([0, *size.values()]).tolist(), strict=False))
-    sizes = np.array([size[key] for key in keys])
-    column = np.repeat([first[key] for key in keys] - np.cumsum(sizes) + sizes, sizes) + np.arange(sizes.sum())
+    size = np.array([len(delta.at(key)) for key in order])
+    place = {key: index for index, key in enumerate(order)}
+    which = np.fromiter(map(place.__getitem__, keys), int, len(keys))
+    column = _runs((np.cumsum(size) - size)[which], size[which])
     diagonal = np.bincount(column, np.concatenate(squares))
-    frontal = np.cumsum([0, *map(len, squares)])[:-1]
-    frontal = np.concatenate([np.arange(at, at + len(r)) for at, r in zip(frontal, pivots, strict=True)])
+    width = np.array([*map(len, squares)])
+    frontal = _runs(np.cumsum(width) - width, np.array([*map(len, pivots)]))
     return bool((diagonal[column[frontal]] <= _SOUND * np.square(np.concatenate(pivots))).all())
+
+
+def _runs(first: npt_int, length: npt_int) -> npt_int:
+    """``first[k], first[k] + 1, ...``, ``length[k]`` of them, for every k in turn."""
+    ends = np.cumsum(length)
+    return np.asarray(np.repeat(first - ends + length, length) + np.arange(ends[-1]))
 
 
 def check_determined(tree: gtsam.GaussianBayesTree, order: list[int]) -> None:
