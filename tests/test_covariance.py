@@ -104,6 +104,20 @@ def test_marginals_are_blocks_of_the_dense_inverse(count: int, loops: int, apart
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_variables_that_were_eliminated_last_need_no_others(seed: int) -> None:
+    """As for the present: only what was eliminated last is named, and whatever shares its clique is not."""
+    graph = random_problem(seed, 12, 3)
+    keys = [X(6), V(6)]
+    ordering = gtsam.Ordering.ColamdConstrainedLastGaussianFactorGraph(graph, keys)
+    order = [ordering.at(k) for k in range(ordering.size())]
+    tree = graph.eliminateMultifrontal(ordering, gtsam.EliminateQR)
+    found = joint_marginals(tree, order[-2:], dims, {X(6): tuple(keys)})
+    covariance, rows = dense(graph, order)
+    index = np.concatenate([rows[k] for k in keys])
+    assert_same(found[X(6)], covariance[np.ix_(index, index)], 1e-7)
+
+
+@pytest.mark.parametrize("seed", range(5))
 def test_p_in_place_of_its_root_says_the_same(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """For cliques of any size, where no variable is known to the others far better than to the world."""
     graph = random_problem(seed, 40, 15)

@@ -13,6 +13,7 @@ world.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cache
 from itertools import accumulate, islice
 from typing import TYPE_CHECKING, Any
 
@@ -118,12 +119,12 @@ def _marginals(
     found: dict[int, Array] = {}
     open_cliques: dict[int, _Clique] = {}
     owner: dict[int, int] = {}
-    sizes = {key: dims(key) for key in order}
+    size = cache(dims)
     for done, key in enumerate(reversed(order)):
         if key in owner:
             continue
         before = len(owner)
-        clique = _solve_clique(tree[key], open_cliques, owner, sizes, large)
+        clique = _solve_clique(tree[key], open_cliques, owner, size, large)
         # a group that a factor holds is in the clique of whichever of it was eliminated first
         for frontal in islice(clique.rows, len(owner) - before):
             for name in wanted.get(frontal, ()):
@@ -138,7 +139,7 @@ def _marginals(
 
 
 def _solve_clique(
-    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], sizes: dict[int, int], large: int | None
+    node: Any, open_cliques: dict[int, _Clique], owner: dict[int, int], size: Callable[[int], int], large: int | None
 ) -> _Clique:
     conditional = node.conditional()
     if conditional.isConstrained():
@@ -147,7 +148,7 @@ def _solve_clique(
         )
     r, s = conditional.R(), conditional.S()
     keys = conditional.keys()
-    ends = [*accumulate(map(sizes.__getitem__, keys), initial=0)]
+    ends = [*accumulate(map(size, keys), initial=0)]
     rows = dict(zip(keys, map(slice, ends, ends[1:]), strict=False))
     frontals = keys[: ends.index(len(r))]
     inverse, status = dtrtri(np.asfortranarray(r))
