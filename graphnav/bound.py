@@ -37,9 +37,9 @@ from graphnav.preintegration import preintegrate
 from graphnav.problem import L, Problem, V, X
 from graphnav.range_clock import estimates_clock, moved, with_offset
 from graphnav.ranges import RangeReadings, range_readings
-from graphnav.rounds import Solved
 from graphnav.smooth import posed
 from graphnav.solution import solve_batch
+from graphnav.solved import Solved
 from graphnav.solvers.batch import BatchResult
 from graphnav.solvers.elimination import eliminate, elimination
 from graphnav.trajectory import Trajectory

@@ -3,34 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from factors.advance import AdvanceFamily
 from factors.so3 import Array
 from graphnav._memory import release
 from graphnav._stages import Stages
 from graphnav.agreement import agreeing_camera, agreeing_ranges
-from graphnav.anchor_doubt import ContradictionError, Doubt, contradicting
+from graphnav.anchor_doubt import ContradictionError, contradicting
 from graphnav.camera import Camera, camera_readings
 from graphnav.costs import parted, suspects
 from graphnav.graph import SmoothingGraph, build_graph
-from graphnav.initial import States
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
-from graphnav.mounting_score import MountingScore, mounting_score
+from graphnav.mounting_score import mounting_score
 from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
-from graphnav.problem import D, L, Problem, RangeClock, T
-from graphnav.range_clock import ClockScore, clock_score, estimates_clock, moved, offset_in, settled
+from graphnav.problem import D, L, Problem, T
+from graphnav.range_clock import clock_score, estimates_clock, moved, offset_in, settled
 from graphnav.range_rounds import on_the_clock, posed_ranges
-from graphnav.ranges import RangeReadings
-from graphnav.rival_paths import Rival
+from graphnav.solved import Said, Solved
 from graphnav.solvers import absolute, batch
-from graphnav.trajectory import Trajectory
 
 if TYPE_CHECKING:
     import gtsam
@@ -38,48 +34,6 @@ if TYPE_CHECKING:
 
 #: Iterations after which readings of legs that contradict each other are looked for: they slow convergence down.
 _COMPROMISE = 10
-
-
-@dataclass
-class Solved:
-    """A solver's outcome.
-
-    Attributes
-    ----------
-    result : estimates and their square-root information.
-    data : the condensed sensor data that it was solved with.
-    biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
-    clock : with which the ranges were carried.
-    clock_score : what the ranges say of a time offset that is no variable, or None; mounting_score : what all says of
-        the camera's angles that are none.
-    suspects : where it did not converge, what of the log stands out.
-    legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
-    ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
-    camera : what the camera said that was used, or None; camera_left_out : what disagreed.
-    advances : pairs of legs tied by the push of their support, or None.
-    causal : the states that an incremental solver knew from the past alone, or None.
-    doubt : where ranges contradicted each other, which anchor may be wrong; else None.
-    rival : a path that ranges fit as well, or None.
-    """
-
-    result: batch.BatchResult
-    data: Preintegrated
-    biases_moved: bool
-    legs: LegReadings | None = None
-    legs_left_out: LegReadings | None = None
-    ranges: RangeReadings | None = None
-    ranges_left_out: RangeReadings | None = None
-    camera: Camera | None = None
-    camera_left_out: Camera | None = None
-    advances: AdvanceFamily | None = None
-    causal: States | None = None
-    clock_moved: bool = False
-    clock: RangeClock = field(default_factory=RangeClock)
-    clock_score: ClockScore | None = None
-    mounting_score: MountingScore | None = None
-    doubt: Doubt | None = None
-    rival: Rival | None = None
-    suspects: str = ""
 
 
 def solved_in_rounds(
@@ -102,71 +56,107 @@ def solved_in_rounds(
     ------
     ContradictionError : they do.
     """
-    config, lidar = problem.config.batch, problem.log.lidar
+    rounds = problem.config.batch.bias_move_rounds
     problem, values = on_the_clock(problem, stages, data, values)
-    along: Trajectory | None = None
     history: list[batch.Iteration] = []
-    advances: AdvanceFamily | None = None
-    for round_ in range(config.bias_move_rounds):
-        left_out = None  # what an earlier round left out may agree along a better path
+    for round_ in range(rounds):
+        # what an earlier round left out may agree along a better path
         with stages.stage("assemble"):
-            along = smoothed_trajectory(problem, values, None) if values.exists(T(0)) else None
-            readings = leg_readings(problem, data, values)
-            advances = None if readings is None else leg_advances(problem, readings, values)
-            ranges, ranges_left_out = posed_ranges(problem, data, values, along), None
-            camera, camera_left_out = posed_camera(problem, values), None
-            graph = build_graph(problem, data, readings, advances, ranges, camera)
-            for factor in predicted:
-                graph.native.add(factor)
+            graph, said = _assembled(problem, data, values, predicted)
         with stages.stage("solve") as tick:
-            if ranges is not None and problem.config.uwb.loss != "none":
-                values, fit = agreeing_ranges(graph, problem.config.uwb, values)
-                if wary and contradicting(problem, graph, ranges, fit, values):
-                    raise ContradictionError
-                ranges_left_out, ranges = ranges.only(~fit), ranges.only(fit)
-                graph = replace(graph, ranges=ranges.family)
-            if camera is not None:
-                values, camera, camera_left_out = agreeing_camera(graph, problem.config, camera, values)
-                graph = graph.seen_by(camera)
-            result = _solved(problem, graph, values, tick, _COMPROMISE if readings is not None else None)
-            if problem.config.closed_path.form == "absolute" and not predicted:
-                result = absolute.solve_cycle_by_cycle(problem, graph, result)
-            history += result.iterations
-            if readings is not None and lidar is not None:
-                agree = agreeing(graph, readings, lidar, result.values)
-                if agree is None:
-                    values = result.values
-                else:  # and start afresh, away from the compromise
-                    left_out, readings = readings.only(~agree), readings.only(agree)
-                    graph = graph.only_legs(readings, lidar)
-                if agree is not None or not result.converged:
-                    result = _solved(problem, graph, values, tick)
-                    history += result.iterations
+            graph, said, values = _in_agreement(problem, graph, said, values, wary)
+            graph, said, result = _with_legs_in_agreement(problem, graph, said, values, bool(predicted), tick)
+        history += result.iterations
         gyro, accel = estimated_biases(problem, result.values)
         clock = replace(problem.clock, later_s=offset_in(result.values))
         better, clock_moved = biases_moved(problem, data, gyro, accel), not settled(problem.clock, clock)
-        if not (better or clock_moved) or not result.converged or round_ == config.bias_move_rounds - 1:
+        if not (better or clock_moved) or not result.converged or round_ == rounds - 1:
             break
         with stages.stage("assemble") as tick:
             data = preintegrated(problem, gyro, accel, tick) if better else data
             problem, values = moved(problem, clock), result.values
-    score = None
-    if ranges is not None and not estimates_clock(problem):
-        with stages.stage("solve"):
-            score = clock_score(
-                problem, graph, ranges, smoothed_trajectory(problem, result.values, None), result.values
-            )
-    sits = None
-    if camera is not None and result.converged:
-        with stages.stage("solve"):
-            sits = mounting_score(problem, graph, result.values)
-    apart = parted((ranges, ranges_left_out), (camera, camera_left_out))
-    suspected = "" if result.converged else suspects(graph, result.values, apart)
-    result = batch.BatchResult(result.values, result.bayes_tree, tuple(history), result.converged, result.order)
+    with stages.stage("solve"):
+        told = _told(problem, graph, said, result)
+    result = replace(result, iterations=tuple(history))
     return Solved(
-        result, data, better, readings, left_out, ranges, ranges_left_out, camera, camera_left_out, advances,
-        clock_moved=clock_moved, clock=problem.clock, clock_score=score, mounting_score=sits, suspects=suspected,
+        result, data, better, **vars(said), clock_moved=clock_moved, clock=problem.clock, **told
     )  # fmt: skip
+
+
+def _assembled(
+    problem: Problem, data: Preintegrated, values: gtsam.Values, predicted: list[gtsam.NonlinearFactor]
+) -> tuple[SmoothingGraph, Said]:
+    """The graph of all that was measured, as it looks from `values`, to which variables are added."""
+    along = smoothed_trajectory(problem, values, None) if values.exists(T(0)) else None
+    legs = leg_readings(problem, data, values)
+    advances = None if legs is None else leg_advances(problem, legs, values)
+    said = Said(
+        legs=legs, advances=advances, ranges=posed_ranges(problem, data, values, along),
+        camera=posed_camera(problem, values),
+    )  # fmt: skip
+    graph = build_graph(problem, data, legs, advances, said.ranges, said.camera)
+    for factor in predicted:
+        graph.native.add(factor)
+    return graph, said
+
+
+def _in_agreement(
+    problem: Problem, graph: SmoothingGraph, said: Said, values: gtsam.Values, wary: bool
+) -> tuple[SmoothingGraph, Said, gtsam.Values]:
+    """Without ranges, and what a camera saw, that disagree with all else; and values near the solution."""
+    ranges, camera = said.ranges, said.camera
+    if ranges is not None and problem.config.uwb.loss != "none":
+        values, fit = agreeing_ranges(graph, problem.config.uwb, values)
+        if wary and contradicting(problem, graph, ranges, fit, values):
+            raise ContradictionError
+        said = replace(said, ranges=ranges.only(fit), ranges_left_out=ranges.only(~fit))
+        graph = replace(graph, ranges=ranges.only(fit).family)
+    if camera is not None:
+        values, camera, left_out = agreeing_camera(graph, problem.config, camera, values)
+        said, graph = replace(said, camera=camera, camera_left_out=left_out), graph.seen_by(camera)
+    return graph, said, values
+
+
+def _with_legs_in_agreement(
+    problem: Problem,
+    graph: SmoothingGraph,
+    said: Said,
+    values: gtsam.Values,
+    predicted: bool,
+    progress: Callable[[float, float], None] | None,
+) -> tuple[SmoothingGraph, Said, batch.BatchResult]:
+    """The solution, after readings of legs that disagree are left out; its iterations are those of both solves."""
+    legs, lidar = said.legs, problem.log.lidar
+    result = _solved(problem, graph, values, progress, None if legs is None else _COMPROMISE)
+    if problem.config.closed_path.form == "absolute" and not predicted:
+        result = absolute.solve_cycle_by_cycle(problem, graph, result)
+    if legs is None or lidar is None:
+        return graph, said, result
+    agree = agreeing(graph, legs, lidar, result.values)
+    if agree is None:
+        values = result.values
+    else:  # and start afresh, away from the compromise
+        said = replace(said, legs=legs.only(agree), legs_left_out=legs.only(~agree))
+        graph = graph.only_legs(legs.only(agree), lidar)
+    if agree is not None or not result.converged:
+        before = result.iterations
+        result = _solved(problem, graph, values, progress)
+        result = replace(result, iterations=(*before, *result.iterations))
+    return graph, said, result
+
+
+def _told(problem: Problem, graph: SmoothingGraph, said: Said, result: batch.BatchResult) -> dict[str, Any]:
+    """What the solution says of what is no variable of it, and where it is none, what stands out."""
+    if not result.converged:
+        apart = parted((said.ranges, said.ranges_left_out), (said.camera, said.camera_left_out))
+        return {"suspects": suspects(graph, result.values, apart)}
+    found: dict[str, Any] = {}
+    if said.ranges is not None and not estimates_clock(problem):
+        along = smoothed_trajectory(problem, result.values, None)
+        found["clock_score"] = clock_score(problem, graph, said.ranges, along, result.values)
+    if said.camera is not None:
+        found["mounting_score"] = mounting_score(problem, graph, result.values)
+    return found
 
 
 def _solved(

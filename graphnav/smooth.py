@@ -39,11 +39,11 @@ from graphnav.range_outcome import (
     rejected,
 )
 from graphnav.rival_paths import rival_warning
-from graphnav.rounds import Solved
 from graphnav.run import Calibration, Diagnostics, RangeResiduals, Run
 from graphnav.scanned import with_scanned_legs
 from graphnav.sighted import Sighted, with_stereo
 from graphnav.solution import solve_batch, solve_isam2
+from graphnav.solved import Solved
 from graphnav.trajectory import Trajectory
 
 

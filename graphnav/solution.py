@@ -22,7 +22,8 @@ from graphnav.problem import Problem, X
 from graphnav.range_rounds import posed_ranges
 from graphnav.ranges import range_readings, uses_ranges
 from graphnav.rival_paths import rival_path
-from graphnav.rounds import Solved, posed_camera, preintegrated, solved_in_rounds
+from graphnav.rounds import posed_camera, preintegrated, solved_in_rounds
+from graphnav.solved import Solved
 from graphnav.solvers import batch, incremental
 
 if TYPE_CHECKING:

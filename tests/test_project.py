@@ -93,6 +93,7 @@ FLOORS = (
         "graphnav.scanned",
         "graphnav.sighted",
         "graphnav.rounds",
+        "graphnav.solved",
         "graphnav.solution",
         "graphnav.filtered",
         "graphnav.leg_filtered",
