@@ -10,6 +10,7 @@ above it.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -28,8 +29,8 @@ from graphnav.trajectory import ImuBridge, Trajectory
 if TYPE_CHECKING:
     import gtsam
 
-#: Detections brought together at a time.
-_BLOCK = 200_000
+#: Detections brought together at a time, and how many such blocks at once: NumPy lets go of the interpreter.
+_BLOCK, _THREADS = 200_000, 2
 #: Times this close are the same, s.
 _SAME_S = 1e-6
 
@@ -119,10 +120,12 @@ def gathered(log: SensorLog, config: Config, way: Trajectory, centre: npt_int) -
     keyframe = np.repeat(centre, np.diff(change))
     # some windows at a time: as many as keep the arrays small, and the calls for each few
     edges = np.unique(np.r_[change[np.searchsorted(change, np.arange(first, last, _BLOCK))], last])
-    blocks = [
-        _of_block(log, config, way, np.arange(lo, hi), keyframe[lo - first : hi - first], names)
-        for lo, hi in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
-    ]
+
+    def of_block(lo: int, hi: int) -> tuple[Any, ...]:
+        return _of_block(log, config, way, np.arange(lo, hi), keyframe[lo - first : hi - first], names)
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        blocks = list(pool.map(of_block, edges[:-1].tolist(), edges[1:].tolist()))
     columns: list[Any] = [np.concatenate(column) for column in zip(*blocks, strict=True)]
     place, at, sigma = columns.pop(), columns[0], columns[-1]
     leg: npt_int = columns[2]
