@@ -85,7 +85,7 @@ FLOORS = (
         "graphnav.agreement",
         "graphnav.costs",
         "graphnav.range_clock",
-        "graphnav.mounting_score",
+        "graphnav.camera_score",
     },
     {
         "graphnav.smooth",
