@@ -112,6 +112,7 @@ FLOORS = (
         "graphnav.holes",
         "graphnav.range_rounds",
         "graphnav.camera_outcome",
+        "graphnav.camera_clock",
     },
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )
