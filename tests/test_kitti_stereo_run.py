@@ -36,7 +36,7 @@ def test_the_reference_begins_with_a_filled_gap(log: SensorLog) -> None:
 @pytest.mark.data
 @pytest.mark.slow
 def test_drift_of_the_images_alone(log: SensorLog) -> None:
-    """Measured 0.60 % and 0.0136 deg/m (aim 1.5 % and 0.01 deg/m: not met); 0.51 % and 0.0054 deg/m past the filled gap.
+    """Measured 0.60 % and 0.0136 deg/m (aim 1.5 % and 0.01 deg/m: not met); past the gap 0.51 % and 0.0054 deg/m.
 
     What turns the whole of it by is the filled gap's, so that there is no bound on it but on what is past it. The
     tracks tell that disparities are too small, by 0.15 px.
