@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors import lookup, so3
+from factors.carried import CAMERA_ERRORS, Carried, Moments
 from factors.increments import npt_int
 from factors.relative_pose import Motions
 from factors.robust import Loss, reweighted
@@ -73,10 +74,12 @@ class MotionFamily:
     Attributes
     ----------
     key_i, key_j : (K,) keys of the poses at both ends.
-    camera_key : of the 7-vector of the camera's errors (mounting; disparity, which is none of a motion's), or None.
+    camera_key : of the 8-vector of the camera's errors (mounting; disparity, which is none of a motion's; how much
+        later than stamped its images are, s), or None.
     measured : K motions of c, with their covariances.
     rotation_bc, pos_bc : (3, 3), (3,) the mounting as declared.
     loss, scale : of an error's length in sigmas, see `factors.robust`.
+    moments_i, moments_j : of the poses, where the clock may be off; None: it is right.
     """
 
     key_i: npt_int
@@ -87,6 +90,8 @@ class MotionFamily:
     pos_bc: Array
     loss: Loss = "none"
     scale: float = 3.0
+    moments_i: Moments | None = None
+    moments_j: Moments | None = None
 
     @property
     def size(self) -> int:
@@ -97,15 +102,22 @@ class MotionFamily:
         """Some of the motions."""
         m = self.measured
         some = Motions(m.rotation[rows], m.pos[rows], m.cov[rows])
-        return replace(self, key_i=self.key_i[rows], key_j=self.key_j[rows], measured=some)
+        i, j = (None if each is None else each.only(rows) for each in (self.moments_i, self.moments_j))
+        return replace(
+            self, key_i=self.key_i[rows], key_j=self.key_j[rows], measured=some, moments_i=i, moments_j=j
+        )  # fmt: skip
 
     def residuals(self, values: gtsam.Values) -> tuple[Array, list[Array]]:
-        """Whitened errors (K, 6) and Jacobians by both poses (K, 6, 6) and the camera's errors (K, 6, 7)."""
-        pose_i, pose_j = lookup.poses(values, self.key_i), lookup.poses(values, self.key_j)
-        unknown = np.zeros(7) if self.camera_key is None else values.atVector(self.camera_key)
-        mounting = np.broadcast_to(unknown[:6], (len(pose_i), 6))
-        error, *by = residual(pose_i, pose_j, mounting, self.rotation_bc, self.pos_bc, self.measured)
-        by[2] = np.concatenate([by[2], np.zeros((len(error), _ROWS, 1))], axis=2)
+        """Whitened errors (K, 6) and Jacobians by both poses (K, 6, 6) and the camera's errors (K, 6, 8)."""
+        unknown = np.zeros(CAMERA_ERRORS) if self.camera_key is None else values.atVector(self.camera_key)
+        i, j = (
+            Carried.by(lookup.poses(values, keys), moments, float(unknown[7]))
+            for keys, moments in ((self.key_i, self.moments_i), (self.key_j, self.moments_j))
+        )
+        mounting = np.broadcast_to(unknown[:6], (len(i.pose), 6))
+        error, *by = residual(i.pose, j.pose, mounting, self.rotation_bc, self.pos_bc, self.measured)
+        by_time = by[0] @ i.by_time[..., None] + by[1] @ j.by_time[..., None]
+        by = [by[0] @ i.by_pose, by[1] @ j.by_pose, np.concatenate([by[2], np.zeros_like(by_time), by_time], axis=2)]
         root = np.linalg.inv(np.linalg.cholesky(self.measured.cov))
         return _times(root, error), [root @ each for each in by[: 2 if self.camera_key is None else 3]]
 

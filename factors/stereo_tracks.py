@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors import lookup, so3
+from factors.carried import CAMERA_ERRORS, Carried, Moments
 from factors.condensed_points import Condensed, PointRows
 from factors.increments import npt_int
 from factors.robust import Loss, reweighted
@@ -38,11 +39,12 @@ class TrackFamily:
     Attributes
     ----------
     pose_key, point_key : (K,) pose T_nb from which a feature was seen, and its place in n (a 3-vector).
-    camera_key : of the 7-vector of the camera's errors (mounting: angles about c's axes, place in b; what disparities
-        are too large by, px), or None where they are known.
+    camera_key : of the 8-vector of the camera's errors (mounting: angles about c's axes, place in b; what disparities
+        are too large by, px; how much later than stamped its images are, s), or None where they are known.
     pixels : (K, 3) u_left, u_right, v; sigma_px : of each of them.
     camera : the rectified pair; rotation_bc, pos_bc : (3, 3), (3,) its mounting as declared.
     loss, scale : of a reading's length in sigmas, see `factors.robust`.
+    moments : of the poses, where the clock may be off; None: it is right.
     """
 
     pose_key: npt_int
@@ -55,6 +57,7 @@ class TrackFamily:
     pos_bc: Array
     loss: Loss = "none"
     scale: float = 3.0
+    moments: Moments | None = None
 
     @property
     def size(self) -> int:
@@ -64,7 +67,8 @@ class TrackFamily:
     def only(self, rows: npt_int | np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> TrackFamily:
         """Some of the readings."""
         return replace(
-            self, pose_key=self.pose_key[rows], point_key=self.point_key[rows], pixels=self.pixels[rows]
+            self, pose_key=self.pose_key[rows], point_key=self.point_key[rows], pixels=self.pixels[rows],
+            moments=None if self.moments is None else self.moments.only(rows),
         )  # fmt: skip
 
     def residuals(self, values: gtsam.Values) -> tuple[Array, list[Array]]:
@@ -72,24 +76,26 @@ class TrackFamily:
 
         A point that is not in front of the camera (an iteration gone astray) has no slope, and errors of a whole image.
         """
-        pose, point = lookup.poses(values, self.pose_key), lookup.vectors(values, self.point_key)
-        unknown = np.zeros(7) if self.camera_key is None else values.atVector(self.camera_key)
+        unknown = np.zeros(CAMERA_ERRORS) if self.camera_key is None else values.atVector(self.camera_key)
+        then = Carried.by(lookup.poses(values, self.pose_key), self.moments, float(unknown[7]))
+        pose, point = then.pose, lookup.vectors(values, self.point_key)
         turn_bc, place = self.rotation_bc @ so3.exp(unknown[:3]), self.pos_bc + unknown[3:6]
         point_b = _times(so3.transpose(pose[:, :3, :3]), point - pose[:, :3, 3])
         good = np.flatnonzero((point_b - place) @ turn_bc[:, 2] > _NEAREST_M)
         error = np.full((len(pose), _ROWS), 2 * self.camera.cx_px)
         by_pose, by_point = np.zeros((len(pose), _ROWS, 6)), np.zeros((len(pose), _ROWS, 3))
-        by_camera = np.zeros((len(pose), _ROWS, 7))
+        by_camera = np.zeros((len(pose), _ROWS, CAMERA_ERRORS))
         read = self.pixels + unknown[6] * np.array([0.0, 1.0, 0.0])  # a disparity too large: u_right too small
         error[good], by_pose[good], by_point[good], by_camera[good, :, :6] = residual(
             pose[good, :3, :3], pose[good, :3, 3], point[good], turn_bc, place, read[good], self.camera
         )
-        jacobians = [by_pose, by_point]
+        jacobians = [by_pose @ then.by_pose, by_point]
         if self.camera_key is not None:
             # of a pose's perturbation; here the angles are a vector, and the place is in b
             by_camera[:, :, :3] = by_camera[:, :, :3] @ so3.right_jacobian(unknown[:3])
             by_camera[:, :, 3:6] = by_camera[:, :, 3:6] @ turn_bc.T
             by_camera[good, 1, 6] = -1.0
+            by_camera[:, :, 7] = (by_pose @ then.by_time[..., None])[..., 0]
             jacobians.append(by_camera)
         return error / self.sigma_px, [each / self.sigma_px for each in jacobians]
 

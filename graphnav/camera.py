@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.carried import CAMERA_ERRORS
 from graphnav.camera_errors import camera_prior, camera_unknown
 from graphnav.motions import MotionReadings, motion_readings, uses_motions
 from graphnav.problem import E, Problem
@@ -31,7 +32,7 @@ class Camera:
     def insert(self, problem: Problem | ChainProblem, values: gtsam.Values) -> None:
         """Variables that only the camera has, where they are not there yet."""
         if camera_unknown(problem.log.stereo) and not values.exists(E(0)):
-            values.insert(E(0), np.zeros(7))
+            values.insert(E(0), np.zeros(CAMERA_ERRORS))
         if self.tracks is not None:
             self.tracks.insert(values)
 

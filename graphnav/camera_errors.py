@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.carried import CAMERA_ERRORS
 from factors.noise import diagonal
 from factors.so3 import Array
 from graphnav.log import Stereo
@@ -15,14 +16,14 @@ from graphnav.run import CAMERA_NAMES
 if TYPE_CHECKING:
     import gtsam
 
-#: What stands for a error that is declared to be none, rad, m and px: too small to show.
+#: What stands for a error that is declared to be none, rad, m, px and s: too small to show.
 _HELD = 1e-9
 
 
 def camera_sigmas(stereo: Stereo) -> Array:
-    """Sigmas (7,) of the mounting's errors, angles about c's axes (rad) and place in b (m), and of disparities (px)."""
+    """Sigmas (8,): of angles about c's axes (rad) and place in b (m), of disparities (px), and of its clock (s)."""
     angles = np.radians(stereo.mounting_sigma_deg)
-    return np.concatenate([angles, stereo.T_bc_pos_sigma_m, [stereo.disparity_sigma_px]])
+    return np.concatenate([angles, stereo.T_bc_pos_sigma_m, [stereo.disparity_sigma_px, stereo.time_sigma_s]])
 
 
 def camera_unknown(stereo: Stereo | None) -> bool:
@@ -39,4 +40,4 @@ def camera_prior(stereo: Stereo) -> gtsam.NonlinearFactor:
     """What the log declares of it."""
     import gtsam
 
-    return gtsam.PriorFactorVector(E(0), np.zeros(7), diagonal(np.maximum(camera_sigmas(stereo), _HELD)))
+    return gtsam.PriorFactorVector(E(0), np.zeros(CAMERA_ERRORS), diagonal(np.maximum(camera_sigmas(stereo), _HELD)))

@@ -84,7 +84,7 @@ def P(j: int) -> int:
 
 
 #: Sizes of the variables by the letter of their key; the Markov errors of ranges, M, have one of the problem's own.
-SIZES = {ord(letter): size for letter, size in zip("xvbckldaept", (6, 3, 6, 4, 1, 4, 8, 4, 7, 3, 1), strict=True)}
+SIZES = {ord(letter): size for letter, size in zip("xvbckldaept", (6, 3, 6, 4, 1, 4, 8, 4, 8, 3, 1), strict=True)}
 
 
 def _symbol(letter: str, index: int) -> int:

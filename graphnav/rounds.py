@@ -14,12 +14,13 @@ from graphnav._stages import Stages
 from graphnav.agreement import agreeing_camera, agreeing_ranges
 from graphnav.anchor_doubt import ContradictionError, contradicting
 from graphnav.camera import Camera, camera_readings
+from graphnav.camera_clock import CLOCK_ROUNDS, camera_later, camera_settled, on_its_clock, unknown_clock
+from graphnav.camera_score import camera_score
 from graphnav.costs import parted, suspects
 from graphnav.graph import SmoothingGraph, build_graph
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
 from graphnav.legs import LegReadings, condense, uses_legs
-from graphnav.mounting_score import mounting_score
 from graphnav.outcome import estimated_biases, smoothed_trajectory
 from graphnav.preintegration import Preintegrated, preintegrate
 from graphnav.problem import D, L, Problem, T
@@ -57,11 +58,13 @@ def solved_in_rounds(
     ContradictionError : they do.
     """
     rounds = problem.config.batch.bias_move_rounds
+    rounds = max(rounds, CLOCK_ROUNDS) if unknown_clock(problem) else rounds
     problem, values = on_the_clock(problem, stages, data, values)
     history: list[batch.Iteration] = []
     for round_ in range(rounds):
         # what an earlier round left out may agree along a better path
         with stages.stage("assemble"):
+            later_s = camera_later(values)
             graph, said = _assembled(problem, data, values, predicted)
         with stages.stage("solve") as tick:
             graph, said, values = _in_agreement(problem, graph, said, values, wary)
@@ -70,7 +73,8 @@ def solved_in_rounds(
         gyro, accel = estimated_biases(problem, result.values)
         clock = replace(problem.clock, later_s=offset_in(result.values))
         better, clock_moved = biases_moved(problem, data, gyro, accel), not settled(problem.clock, clock)
-        if not (better or clock_moved) or not result.converged or round_ == rounds - 1:
+        late = not camera_settled(later_s, camera_later(result.values))
+        if not (better or clock_moved or late) or not result.converged or round_ == rounds - 1:
             break
         with stages.stage("assemble") as tick:
             data = preintegrated(problem, gyro, accel, tick) if better else data
@@ -79,7 +83,7 @@ def solved_in_rounds(
         told = _told(problem, graph, said, result)
     result = replace(result, iterations=tuple(history))
     return Solved(
-        result, data, better, **vars(said), clock_moved=clock_moved, clock=problem.clock, **told
+        result, data, better, **vars(said), clock_moved=clock_moved, camera_late=late, clock=problem.clock, **told
     )  # fmt: skip
 
 
@@ -155,7 +159,7 @@ def _told(problem: Problem, graph: SmoothingGraph, said: Said, result: batch.Bat
         along = smoothed_trajectory(problem, result.values, None)
         found["clock_score"] = clock_score(problem, graph, said.ranges, along, result.values)
     if said.camera is not None:
-        found["mounting_score"] = mounting_score(problem, graph, result.values)
+        found["camera_score"] = camera_score(problem, graph, result.values)
     return found
 
 
@@ -195,9 +199,10 @@ def leg_readings(problem: Problem, data: Preintegrated, values: gtsam.Values) ->
 def posed_camera(problem: Problem, values: gtsam.Values) -> Camera | None:
     """What the camera says, whose variables are added to the values."""
     camera = camera_readings(problem)
-    if camera is not None:
-        camera.insert(problem, values)
-    return camera
+    if camera is None:
+        return None
+    camera.insert(problem, values)
+    return on_its_clock(problem, camera, values)
 
 
 def preintegrated(

@@ -40,6 +40,7 @@ CAMERA_NAMES = [
     *((f"camera_angle_{axis}", DEGREE, "deg") for axis in ("right", "down", "forward")),
     *((f"camera_place_{axis}", 1.0, "m") for axis in ("right", "forward", "up")),
     ("camera_disparity", 1.0, "px"),
+    ("camera_time", 1.0, "s"),
 ]
 
 

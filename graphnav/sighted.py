@@ -50,6 +50,9 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
         return Sighted(log, None, ("the images are not used: the log has relative poses already",))
     refuse_wrong_camera(log)
     log, notes = _tracked(log, config, progress)
+    if log.imu is None and log.stereo is not None and log.stereo.time_sigma_s:
+        log = replace(log, stereo=log.stereo.replace(time_sigma_s=0.0))
+        notes += ("time_sigma_s of [stereo] is not used: nothing but an IMU tells a camera's clock",)
     if log.imu is None and log.relative_pose is not None:
         return Sighted(log, None, notes)
     return _moved(log, config, notes, progress)

@@ -15,7 +15,9 @@ from types import ModuleType
 from factors.so3 import Array, to_quaternion
 from graphnav._memory import peak_bytes
 from graphnav._stages import ProgressHook, Stages
+from graphnav.camera_clock import UNSETTLED
 from graphnav.camera_outcome import camera_warnings, left_out_counts
+from graphnav.camera_score import camera_score_warnings
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
 from graphnav.frontends.rest import rest_spans
@@ -24,7 +26,6 @@ from graphnav.holes import leg_hole, range_hole
 from graphnav.keyframes import run_frontend
 from graphnav.log import SensorLog
 from graphnav.methods import GRAPH_METHODS, LEG_METHODS, METHODS, STEREO_METHODS, UWB_METHODS
-from graphnav.mounting_score import mounting_warnings
 from graphnav.outcome import calibration, covariances, history, leg_warnings, smoothed_trajectory, stops, warnings
 from graphnav.problem import Problem, pose_problem
 from graphnav.range_outcome import (
@@ -187,7 +188,8 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     left_out = rejected(counts)
     if solved.camera is not None and solved.camera_left_out is not None:
         noted += camera_warnings(problem, solved.camera, solved.camera_left_out)
-        noted += mounting_warnings(solved.mounting_score)
+        noted += camera_score_warnings(solved.camera_score)
+        noted += [UNSETTLED] if solved.camera_late else []
         left_out |= left_out_counts(solved.camera_left_out)
     diagnostics = Diagnostics(
         method=method,

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from factors.advance import AdvanceFamily
 from graphnav.anchor_doubt import Doubt
 from graphnav.camera import Camera
+from graphnav.camera_score import CameraScore
 from graphnav.initial import States
 from graphnav.legs import LegReadings
-from graphnav.mounting_score import MountingScore
 from graphnav.preintegration import Preintegrated
 from graphnav.problem import RangeClock
 from graphnav.range_clock import ClockScore
@@ -39,9 +39,10 @@ class Solved:
     ----------
     result : estimates and their square-root information.
     data : the condensed sensor data that it was solved with.
-    biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did.
+    biases_moved : whether the biases still moved at the end; clock_moved : whether the time offset of ranges did;
+        camera_late : whether the camera's did.
     clock : with which the ranges were carried.
-    clock_score : what the ranges say of a time offset that is no variable, or None; mounting_score : what all says of
+    clock_score : what the ranges say of a time offset that is no variable, or None; camera_score : what all says of
         the camera's angles that are none.
     suspects : where it did not converge, what of the log stands out.
     legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
@@ -65,9 +66,10 @@ class Solved:
     advances: AdvanceFamily | None = None
     causal: States | None = None
     clock_moved: bool = False
+    camera_late: bool = False
     clock: RangeClock = field(default_factory=RangeClock)
     clock_score: ClockScore | None = None
-    mounting_score: MountingScore | None = None
+    camera_score: CameraScore | None = None
     doubt: Doubt | None = None
     rival: Rival | None = None
     suspects: str = ""

@@ -43,7 +43,7 @@ def world(seed: int, mounted: bool, **changes: object) -> tuple[TrackFamily, gts
         values.insert(P(j), rotation_nc @ point + 0.02 * rng.normal(size=3))
         for i in range(first, first + count):
             rows.append((X(i), P(j), project(CAMERA, point - places_c[i]) + rng.normal(0, SIGMA_PX, 3)))
-    values.insert(E, rng.normal(0, 0.01, 7))
+    values.insert(E, rng.normal(0, 0.01, 8))
     shuffled = rng.permutation(len(rows))
     pose_key, point_key = (np.array([rows[k][at] for k in shuffled]) for at in (0, 1))
     family = TrackFamily(
@@ -56,7 +56,7 @@ def world(seed: int, mounted: bool, **changes: object) -> tuple[TrackFamily, gts
 def priors(family: TrackFamily, sigma: float) -> gtsam.GaussianFactorGraph:
     """What else is known: every pose, and the camera's errors."""
     graph = gtsam.GaussianFactorGraph()
-    sizes = {X(i): 6 for i in range(POSES)} | ({} if family.camera_key is None else {E: 7})
+    sizes = {X(i): 6 for i in range(POSES)} | ({} if family.camera_key is None else {E: 8})
     for key, size in sizes.items():
         model = gtsam.noiseModel.Unit.Create(size)
         graph.push_back(gtsam.JacobianFactor(key, np.eye(size) / sigma, np.zeros(size), model))

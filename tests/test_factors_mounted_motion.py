@@ -75,7 +75,7 @@ def family(rng: np.random.Generator, unknown: bool, **changes: object) -> tuple[
     poses = [pose(random_rotation(rng), rng.normal(size=3)) for _ in range(3)]
     for i, each in enumerate(poses):
         values.insert(i, gtsam.Pose3(each))
-    values.insert(KEY, np.zeros(7))
+    values.insert(KEY, np.zeros(8))
     declared, place = random_rotation(rng), rng.normal(size=3)
     exact = [measured_by(poses[k], poses[k + 1], declared, place) for k in range(2)]
     root = rng.normal(size=(2, 6, 6)) * 0.01 + 0.02 * np.eye(6)

@@ -42,7 +42,7 @@ def world(seed: int, mounted: bool, angle: float | None = None, **changes: objec
         pixels.append(project(CAMERA, points_c) + rng.normal(0, SIGMA_PX, (3, 3)))
     for j, point in enumerate(points_n):
         values.insert(P(j), point + rng.normal(0, 0.05, 3))
-    values.insert(E, rng.normal(0, 0.05, 7))
+    values.insert(E, rng.normal(0, 0.05, 8))
     family = TrackFamily(
         np.repeat([X(0), X(1)], 3), np.tile([P(0), P(1), P(2)], 2), E if mounted else None, np.concatenate(pixels),
         SIGMA_PX, CAMERA, declared, place, **changes,
@@ -61,7 +61,7 @@ def test_jacobians(angle: float) -> None:
         change.insert(key, delta)
         return family.residuals(values.retract(change))[0][4]
 
-    for key, size, found in ((X(1), 6, by[0]), (P(1), 3, by[1]), (E, 7, by[2])):
+    for key, size, found in ((X(1), 6, by[0]), (P(1), 3, by[1]), (E, 8, by[2])):
         differences = central(lambda d, key=key: error(key, d), size)
         np.testing.assert_allclose(found[4], differences, rtol=1e-4, atol=1e-3)
 

@@ -85,7 +85,7 @@ FLOORS = (
         "graphnav.agreement",
         "graphnav.costs",
         "graphnav.range_clock",
-        "graphnav.mounting_score",
+        "graphnav.camera_score",
     },
     {
         "graphnav.smooth",
@@ -112,6 +112,7 @@ FLOORS = (
         "graphnav.holes",
         "graphnav.range_rounds",
         "graphnav.camera_outcome",
+        "graphnav.camera_clock",
     },
     {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
 )

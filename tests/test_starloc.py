@@ -262,8 +262,21 @@ def test_the_tags_tell_what_disparities_are_too_large_by(recordings: Path, name:
 
 @pytest.mark.parametrize(("name", "most_m"), [(RECORDINGS[0], 0.16), (RECORDINGS[1], 0.11)])
 def test_tags_hold_the_position_no_better_than_ranges(recordings: Path, name: str, most_m: float) -> None:
-    """Measured 0.142 and 0.095 m; without them 0.116 and 0.097 m: the aim, to be better on both, is not met."""
+    """Measured 0.141 and 0.093 m; without them 0.116 and 0.097 m: the aim, to be better on both, is not met."""
     assert rms(with_tags(recordings / name), log(recordings / name)) < most_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_the_clock_of_the_images_is_found(recordings: Path, name: str) -> None:
+    """Stamps moved by 85 ms: the same readings twice, seen from other keyframes. Found 85.9 and 85.4 ms."""
+    found = []
+    for late_s in (0.0, 0.085):
+        own = with_camera(recordings / name)
+        tracks = own.stereo_tracks.replace(t_s=own.stereo_tracks.t_s - late_s)
+        moved = dataclasses.replace(own, truth=None, stereo_tracks=tracks, stereo=own.stereo.replace(time_sigma_s=0.1))
+        found.append(gn.smooth(moved).calibration["camera_time"])
+    assert found[1].value - found[0].value == pytest.approx(0.085, abs=3 * found[0].sigma)
 
 
 def test_the_camera_is_there_on_demand_and_changes_nothing_else(recordings: Path) -> None:

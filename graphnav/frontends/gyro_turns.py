@@ -15,6 +15,8 @@ from graphnav.log import Imu, Stereo
 
 #: Earth rate: what a gyro shows of it depends on the attitude, which is not asked for here.
 _EARTH_RAD_S = 7.3e-5
+#: Rates are means over so much before and after a time, s.
+_AROUND_S = 0.02
 
 
 def gyro_turns(imu: Imu, stereo: Stereo, rest_s: Array) -> Callable[[float, float], RotationPrior | None]:
@@ -38,7 +40,10 @@ def gyro_turns(imu: Imu, stereo: Stereo, rest_s: Array) -> Callable[[float, floa
         span = end_s - start_s
         angle = float(np.linalg.norm(so3.log(turn_b)))
         variance = (sigma * span) ** 2 + gyro_density(imu) ** 2 * span + (mounting * angle) ** 2
-        return RotationPrior(rotation_bc.T @ turn_b @ rotation_bc, variance * np.eye(3))
+        # a time later by d is a turn that is another by d times what the rate gained on the way
+        gained = rotation_bc.T @ (_rate(imu, edge_s, end_s) - _rate(imu, edge_s, start_s)) * stereo.time_sigma_s
+        cov = variance * np.eye(3) + np.outer(gained, gained)
+        return RotationPrior(rotation_bc.T @ turn_b @ rotation_bc, cov)
 
     return between
 
@@ -54,6 +59,13 @@ def _bias(imu: Imu, rest_s: Array) -> tuple[Array, float]:
     if not inside.any() or known > declared:
         return np.zeros(3), declared
     return np.asarray(imu.gyro_b_rad_s[inside].mean(axis=0)), known
+
+
+def _rate(imu: Imu, edge_s: Array, t_s: float) -> Array:
+    """Mean rate (3,) around a time, rad/s."""
+    first = int(np.searchsorted(edge_s, t_s - _AROUND_S, side="right")) - 1
+    rows = slice(max(first, 0), max(int(np.searchsorted(edge_s, t_s + _AROUND_S)), 1))
+    return np.asarray(imu.gyro_b_rad_s[rows].mean(axis=0))
 
 
 def _product(turns: Array) -> Array:

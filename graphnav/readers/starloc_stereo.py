@@ -7,8 +7,8 @@
 - *Sigma of a pixel*: `SIGMA_PX`. Rows of one tag in both images differ by 0.42 px rms (2-D loop) and 0.94 px (3-D
   loop), but what images have in common does not show in that: one stamped 2 ms off a turn of 1 rad/s is off by 2 px.
   What the graph of IMU, ranges and tags leaves of a pixel, without the reference, is 1.8 and 2.7 px: their rms is
-  declared. A constant error of the clock is in it: clocks recovered in steps of 20 ms are off by 5.8 ms (1 sigma), and
-  at the rates of these recordings (0.49 and 0.28 rad/s rms where tags are seen) that is 3.1 and 1.7 px.
+  declared.
+- *What is left of the clock*: found in steps of 20 ms it is off by 5.8 ms (1 sigma), which the graph estimates.
 - *Mounting and disparity*: what a factory's calibration leaves of a hand-held pair is a degree against the rig and a
   twentieth of a degree (1 px) between the cameras. (An error of the disparities of 1 px, against the reference, had
   been seen before.) The graph estimates both.
@@ -33,6 +33,8 @@ from graphnav.readers.named_csv import NamedCsv
 SIGMA_PX = 2.3
 #: How well the factory knows the camera on the IMU, and one camera's direction in the other.
 _MOUNTING_SIGMA_DEG, _PLACE_SIGMA_M, DISPARITY_SIGMA_PX = 1.0, 0.005, 1.0
+#: What a clock found in steps of 20 ms is off by: 20 / sqrt(12) ms.
+_TIME_SIGMA_S = 0.0058
 #: Camera axes (right, down, forward) -> forward, left, up.
 _FORWARD_FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
@@ -58,6 +60,7 @@ def tag_tracks(folder: Path, rotation_b_imu: Array, later_s: float) -> tuple[Ste
         T_bc_quat_wxyz=so3.to_quaternion(to_b @ _FORWARD_FROM_CAMERA),
         T_bc_pos_sigma_m=np.full(3, _PLACE_SIGMA_M),
         mounting_sigma_deg=np.full(3, _MOUNTING_SIGMA_DEG),
+        time_sigma_s=_TIME_SIGMA_S,
     )
     table = NamedCsv(folder / "apriltag_cal_global.csv")
     u_left, v_left, u_right, v_right = table.columns("left_u", "left_v", "right_u", "right_v").T

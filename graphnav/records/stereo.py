@@ -22,7 +22,7 @@ class Stereo(Record):
     `sigma_px` is the 1-sigma error of a feature's column or row in one image, `disparity_sigma_px` of what all
     disparities are too large by (the angle between the two cameras). The camera sits in the body as declared but for
     errors of `T_bc_pos_sigma_m` (b) and angles of `mounting_sigma_deg` (``R_bc = R(T_bc_quat) Exp(angles)``,
-    about c's axes); zero: as declared.
+    about c's axes), and an image at t shows what was at t + d, d to `time_sigma_s`; zero: as declared.
     """
 
     SECTION: ClassVar[str] = "stereo"
@@ -38,6 +38,7 @@ class Stereo(Record):
     T_bc_pos_sigma_m: Array = param((0.0, 0.0, 0.0), shape=(3,), nonnegative=True)
     mounting_sigma_deg: Array = param((0.0, 0.0, 0.0), shape=(3,), nonnegative=True)
     time_offset_s: float = param(0.0)
+    time_sigma_s: float = param(0.0, nonnegative=True)
     width_px: int | None = param(None, kind="int")
     height_px: int | None = param(None, kind="int")
 

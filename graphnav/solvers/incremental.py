@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from factors.carried import CAMERA_ERRORS
 from factors.increments import npt_int
 from factors.inertial import predict
 from factors.so3 import Array
@@ -90,7 +91,7 @@ def parameters(config: Isam2Config, slots: int = 0) -> gtsam.ISAM2Params:
         ("l", [config.threshold_position_m] * 2 + [config.threshold_lean] * 2),
         ("d", [config.threshold_scale, config.threshold_position_m, *[config.threshold_mounting_rad] * 6]),
         ("a", [config.threshold_position_m] * 4),
-        ("e", [config.threshold_mounting_rad] * 3 + [config.threshold_position_m] * 4),
+        ("e", [config.threshold_mounting_rad] * 3 + [config.threshold_position_m] * 5),
         ("m", [_MARKOV] * slots),
     ):
         thresholds.insert((letter, np.array(values)))
@@ -176,7 +177,7 @@ class _Session:
             if letter in "kame" and not (self.theta.exists(key) or self.values.exists(key)):
                 face = self.problem.log.face
                 creep = np.array([face.creep_m if face else 0.0])
-                zero = {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots), "e": np.zeros(7)}
+                zero = {"k": creep, "a": np.zeros(4), "m": np.zeros(self.slots), "e": np.zeros(CAMERA_ERRORS)}
                 self.values.insert(key, zero[letter])
         self.pending.add(factor)
 
