@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
 from factors.increments import npt_int
 from graphnav.camera import Camera
+from graphnav.errors import SolveError
 from graphnav.graph import SmoothingGraph
+from graphnav.solvers.batch import StuckError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import gtsam
 
 #: Chi-square per residual, and share of measurements left out, that stand out.
@@ -67,6 +69,15 @@ def suspects(graph: SmoothingGraph, values: gtsam.Values, left_out: dict[str, tu
     if cost[kind] > _DEAR:
         found.append(f"{kind} cost {cost[kind]:,.0f} per residual where 1 is expected")
     return ", ".join(found)
+
+
+@contextmanager
+def suspecting(graph: SmoothingGraph) -> Iterator[None]:
+    """An error of a solver that gets stuck says what stands out there."""
+    try:
+        yield
+    except StuckError as error:
+        raise SolveError.stuck(suspects(graph, error.values)) from None
 
 
 Parts = tuple[Part | None, Part | None]

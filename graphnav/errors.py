@@ -97,6 +97,15 @@ class SolveError(GraphnavError):
         )
 
     @classmethod
+    def stuck(cls, suspects: str = "") -> SolveError:
+        """The error for values from which no step leads to better ones; suspects : what of the log stands out."""
+        first = f" first: {suspects}" if suspects else " first"
+        return cls(
+            f"no step lowers the error: measurements contradict each other; check the log's sigmas and units{first}; if"
+            " they are right the path starts too far off: declare [initial] nearer to it"
+        )
+
+    @classmethod
     def undetermined(cls, key: int) -> SolveError:
         """The error for a variable that no measurement determines, given its key."""
         letter, number = chr(key >> 56), key & ((1 << 56) - 1)

@@ -16,7 +16,7 @@ from graphnav.anchor_doubt import ContradictionError, contradicting
 from graphnav.camera import Camera, camera_readings
 from graphnav.camera_clock import CLOCK_ROUNDS, camera_later, camera_settled, on_its_clock, unknown_clock
 from graphnav.camera_score import camera_score
-from graphnav.costs import parted, suspects
+from graphnav.costs import parted, suspecting, suspects
 from graphnav.graph import SmoothingGraph, build_graph
 from graphnav.leg_advances import leg_advances
 from graphnav.leg_agreement import agreeing
@@ -66,7 +66,7 @@ def solved_in_rounds(
         with stages.stage("assemble"):
             later_s = camera_later(values)
             graph, said = _assembled(problem, data, values, predicted)
-        with stages.stage("solve") as tick:
+        with stages.stage("solve") as tick, suspecting(graph):
             graph, said, values = _in_agreement(problem, graph, said, values, wary)
             graph, said, result = _with_legs_in_agreement(problem, graph, said, values, bool(predicted), tick)
         history += result.iterations

@@ -10,6 +10,7 @@ import numpy as np
 from factors.position import position_factor
 from graphnav._stages import Stages
 from graphnav.anchor_doubt import ContradictionError, Doubt, doubted
+from graphnav.costs import suspecting
 from graphnav.errors import SolveError
 from graphnav.frontends.range_epochs import is_unknown, start_position
 from graphnav.graph import build_factors, build_graph
@@ -57,7 +58,7 @@ def _roughly(
     with stages.stage("assemble"):
         heard = posed_ranges(problem, data, values) if ranges else None
         graph = build_graph(problem, data, ranges=heard, camera=posed_camera(problem, values))
-    with stages.stage("solve"):
+    with stages.stage("solve"), suspecting(graph):
         most = problem.config.batch.max_iterations
         return batch.solve(graph, values, max_iterations=most, tolerance_sigma=_ROUGH_SIGMAS, exact=False).values
 

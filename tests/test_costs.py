@@ -13,6 +13,7 @@ from engine_logs import SHORT, simulated
 from test_graph import config, posed, prepared
 from uwb_logs import passing
 
+import graphnav.rounds
 from graphnav.camera import Camera
 from graphnav.costs import costs, parted, suspects
 from graphnav.errors import SolveError
@@ -22,6 +23,7 @@ from graphnav.log import Position, SensorLog
 from graphnav.range_rounds import posed_ranges
 from graphnav.smooth import smooth
 from graphnav.solvers import batch
+from graphnav.solvers.batch import StuckError
 
 IN_ALL = {
     "odometer", "IMU samples", "initial pose and positions", "velocities at rest", "motions between keyframes",
@@ -64,6 +66,23 @@ def test_the_log_is_suspected_before_the_iterations() -> None:
     dear = re.search(r"check the log's sigmas first: (.*) cost ([0-9,]+) per residual where 1 is expected;", text)
     assert dear is not None and int(dear[2].replace(",", "")) > 1000, text
     assert text.index("check the log") < text.index("raise batch.max_iterations")
+
+
+def test_a_solver_that_gets_stuck_says_what_stands_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no step lowers the error (here: not one is tried)."""
+
+    def stuck(problem: Any, graph: Any, values: Any, *_: object) -> None:
+        raise StuckError(values)
+
+    monkeypatch.setattr(graphnav.rounds, "_solved", stuck)
+    with pytest.raises(SolveError) as caught:
+        smooth(contradicting(simulated(SHORT)))
+    text = str(caught.value)
+    dear = re.search(
+        r"^no step lowers the error: .* first: (.*) cost ([0-9,]+) per residual where 1 is expected; ", text
+    )
+    assert dear is not None and int(dear[2].replace(",", "")) > 1000, text
+    assert text.endswith("declare [initial] nearer to it")
 
 
 def test_what_was_left_out_is_told_where_it_is_much() -> None:

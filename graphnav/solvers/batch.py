@@ -32,6 +32,14 @@ _SHRINKS = 0.25
 _FLAT, _FLAT_ITERATIONS = 0.2, 5
 
 
+class StuckError(SolveError):
+    """No step lowers the error at some values: who knows the measurements can say which stand out there."""
+
+    def __init__(self, values: gtsam.Values) -> None:
+        super().__init__(str(SolveError.stuck()))
+        self.values = values
+
+
 @dataclass(frozen=True)
 class Iteration:
     """One linearization: the error before the step, the step's length in joint sigmas, its damping."""
@@ -218,9 +226,7 @@ def _damped_step(
         if moved_error < error:
             return moved, again, moved_error, damping
         damping *= 10
-    raise SolveError(
-        "no step lowers the error: the initial values are too far off, or measurements contradict each other"
-    )
+    raise StuckError(values)
 
 
 def _damped(linear: gtsam.GaussianFactorGraph, values: gtsam.Values, damping: float) -> gtsam.GaussianFactorGraph:
