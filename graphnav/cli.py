@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from graphnav import __version__, commands
+from graphnav import __version__, commands, log_commands
 from graphnav.errors import GraphnavError
 from graphnav.methods import METHODS
 
@@ -99,7 +99,7 @@ def _add_demo(group: Any) -> None:
 
 def _add_info(group: Any) -> None:
     text = "Describe a log: sensors, rates, gaps, spans at rest, units that look wrong."
-    parser = _command(group, "info", commands.info, text, "graphnav info shift_042/")
+    parser = _command(group, "info", log_commands.info, text, "graphnav info shift_042/")
     parser.add_argument("log", type=Path, metavar="LOG", help="log folder")
     parser.add_argument("--json", action="store_true", help="print JSON")
 
@@ -107,12 +107,12 @@ def _add_info(group: Any) -> None:
 def _add_import(group: Any) -> None:
     text = "Convert recorded data of another format to a log folder."
     example = "graphnav import kitti-gtsam -o kitti/"
-    parser = _command(group, "import", commands.import_log, text, example)
+    parser = _command(group, "import", log_commands.import_log, text, example)
     parser.add_argument(
         "format",
         metavar="FORMAT",
-        choices=sorted(commands.IMPORTERS),
-        help=", ".join(sorted(commands.IMPORTERS)),
+        choices=sorted(log_commands.IMPORTERS),
+        help=", ".join(sorted(log_commands.IMPORTERS)),
     )
     parser.add_argument(
         "source",
@@ -140,7 +140,7 @@ def _add_simulate(group: Any) -> None:
         " roadheader-stereo."
     )
     example = "graphnav simulate shearer-mems --seed 11 -o shift/"
-    parser = _command(group, "simulate", commands.simulate, text, example)
+    parser = _command(group, "simulate", log_commands.simulate, text, example)
     parser.add_argument("scenario", metavar="SCENARIO")
     parser.add_argument("--seed", type=int, default=0, help="of the random errors (default %(default)s)")
     _add_log_output(parser)

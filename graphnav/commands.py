@@ -1,40 +1,24 @@
-"""The commands behind the command line, one function each; they take the parsed arguments."""
+"""The commands that make something of a log, one function each; they take the parsed arguments."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from graphnav._outputs import check_makable
 from graphnav.errors import GraphnavError
+from graphnav.log_commands import print_json, read_log
 
 if TYPE_CHECKING:
     from graphnav.config import Config
     from graphnav.evaluation import Evaluation
     from graphnav.log import SensorLog
     from graphnav.run import Run
-
-#: Format -> (module with `convert`, the options it takes).
-IMPORTERS = {
-    "aer1513": ("graphnav.readers.aer1513", ("dataset", "landmarks", "interval_s")),
-    "comma2k19": ("graphnav.readers.comma2k19", ("wheel_scale",)),
-    "euroc": ("graphnav.readers.euroc", ("position_rate_hz",)),
-    "kitti-gtsam": ("graphnav.readers.kitti_gtsam", ()),
-    "kitti-stereo": ("graphnav.readers.kitti_stereo", ()),
-    "kitti-tracks": ("graphnav.readers.kitti_tracks", ()),
-    "lego": ("graphnav.readers.lego", ()),
-    "plaza": ("graphnav.readers.plaza", ()),
-    "starloc": ("graphnav.readers.starloc", ("heading_sigma_deg", "stereo")),
-}
-#: Formats whose data come with the gtsam package.
-_WITH_GTSAM = ("kitti-gtsam", "kitti-tracks", "plaza")
 
 
 def demo(arguments: argparse.Namespace) -> None:
@@ -46,74 +30,7 @@ def demo(arguments: argparse.Namespace) -> None:
         result = run_demo(arguments.output, progress)
     show(result)
     if arguments.json:
-        _print_json(result.to_dict())
-
-
-def info(arguments: argparse.Namespace) -> None:
-    """Describe a log."""
-    from graphnav.report.info import describe, render
-
-    known = describe(_read(arguments.log))
-    if arguments.json:
-        _print_json(known)
-    else:
-        render(known)
-
-
-def import_log(arguments: argparse.Namespace) -> None:
-    """Convert recorded data to a log folder."""
-    from graphnav.readers.image_files import gathered
-    from graphnav.report.terminal import working
-
-    module, options = IMPORTERS[arguments.format]
-    every = sorted({name for _, names in IMPORTERS.values() for name in names})
-    given = {name: getattr(arguments, name) for name in every}
-    chosen = {name: value for name, value in given.items() if value is not None}
-    foreign = sorted(set(chosen) - set(options))
-    if foreign:
-        raise GraphnavError(f"{arguments.format} takes no --{foreign[0].replace('_', '-')}; leave it out")
-    if arguments.source is None and arguments.format not in _WITH_GTSAM:
-        raise GraphnavError(f"{arguments.format} needs SRC, the folder of its data")
-    with working("converting"):
-        log, images = gathered(importlib.import_module(module).convert(arguments.source, **chosen))
-        _write(log, arguments, images)
-
-
-def simulate(arguments: argparse.Namespace) -> None:
-    """Simulate a scenario to a log folder."""
-    from graphnav.report.terminal import ProgressBar, working
-    from graphnav.simulation import simulate as simulate_log
-    from graphnav.simulation.stereo_images import render_into
-
-    names = (
-        "interval_m", "par", "hours", "sensors", "cycles", "scans", "draw", "site", "nlos_share", "nlos_max_m",
-        "rate_hz", "images", "tracks", "outlier_share",
-    )  # fmt: skip
-    given = {name: getattr(arguments, name) for name in names}
-    options = {name: value for name, value in given.items() if value is not None}
-    if "sensors" in options:
-        options["sensors"] = tuple(name.strip() for name in options["sensors"].split(","))
-    _check_options(arguments.scenario, options)
-    with working("simulating"):
-        log = simulate_log(arguments.scenario, seed=arguments.seed, **options)
-    if log.stereo_pairs is None:
-        _write(log, arguments)
-        return
-    with ProgressBar() as progress:
-        _write(log, arguments, partial(render_into, arguments.scenario, arguments.seed, options, progress=progress))
-
-
-def _check_options(scenario: str, options: dict[str, Any]) -> None:
-    """Refuse what a scenario does not take, by the names that the command line has for it."""
-    from graphnav.simulation import SCENARIOS
-
-    taken = SCENARIOS.get(scenario, {"options": options})["options"]
-    flags = {name: f"--{name.removesuffix('_m').replace('_', '-')}" for name in (*options, *taken)}
-    for name in options:
-        if name not in taken:
-            raise GraphnavError(
-                f"{scenario} takes no {flags[name]}; it takes {', '.join(flags[each] for each in taken)}"
-            )
+        print_json(result.to_dict())
 
 
 def smooth(arguments: argparse.Namespace) -> None:
@@ -126,7 +43,7 @@ def smooth(arguments: argparse.Namespace) -> None:
     results.check_writable(arguments.output)
     config = _config(arguments)
     begun = time.perf_counter()
-    log = _read(arguments.log)
+    log = read_log(arguments.log)
     read_s = time.perf_counter() - begun
     with ProgressBar() as progress:
         # Truth is for judging alone: the smoother does not even see it.
@@ -166,8 +83,9 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from graphnav.report.results import load, log_of
     from graphnav.report.terminal import evaluation_tables
 
+    _check_picture(arguments.plot)
     trajectory = load(arguments.folder)
-    log = _read(arguments.log)
+    log = read_log(arguments.log)
     run_of = log_of(arguments.folder)
     evaluation = judge(trajectory, log, run_of=run_of)
     if run_of not in (None, log.name):
@@ -175,7 +93,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     if arguments.plot is not None:
         plot_run(trajectory, log, arguments.plot, evaluation)
     if arguments.json:
-        _print_json(evaluation.to_dict())
+        print_json(evaluation.to_dict())
     else:
         evaluation_tables(evaluation)
 
@@ -187,11 +105,12 @@ def compare(arguments: argparse.Namespace) -> None:
     from graphnav.report.terminal import ProgressBar
 
     _check_picture(arguments.plot)
+    _check_text(arguments.markdown)
     config = _config(arguments)
     with ProgressBar() as progress:
         found = compare_methods(arguments.log, arguments.methods, config, arguments.seeds, progress)
     if arguments.json:
-        _print_json(found.to_dict())
+        print_json(found.to_dict())
     else:
         show(found)
     if arguments.markdown is not None:
@@ -212,13 +131,13 @@ def bound(arguments: argparse.Namespace) -> None:
 
     _check_picture(arguments.plot)
     config = _config(arguments)
-    log = _read(arguments.log)
+    log = read_log(arguments.log)
     with ProgressBar() as progress:
         found = bound_of(log, config, progress)
     if arguments.plot is not None:
         plot(found, arguments.plot)
     if arguments.json:
-        _print_json(found.to_dict())
+        print_json(found.to_dict())
     else:
         show(found)
 
@@ -230,7 +149,7 @@ def creep(arguments: argparse.Namespace) -> None:
     from graphnav.report.creep import show
     from graphnav.report.terminal import ProgressBar
 
-    log, config = _read(arguments.log), _config(arguments)
+    log, config = read_log(arguments.log), _config(arguments)
     with ProgressBar() as progress:
         found = creep_of(log, end=arguments.end, config=config, progress=progress)
     if log.truth is not None:
@@ -239,7 +158,7 @@ def creep(arguments: argparse.Namespace) -> None:
         except GraphnavError as error:
             print(f"graphnav: warning: not judged by truth: {error}", file=sys.stderr)
     if arguments.json:
-        _print_json(found.to_dict())
+        print_json(found.to_dict())
     else:
         show(found)
 
@@ -253,13 +172,13 @@ def observability(arguments: argparse.Namespace) -> None:
     _check_picture(arguments.plot)
     source: Any = "filter" if arguments.filter else "graph"
     kind: Any = "smoothed" if arguments.smoothed else "causal"
-    log, config = _read(arguments.log), _config(arguments)
+    log, config = read_log(arguments.log), _config(arguments)
     with ProgressBar() as progress:
         found = observe(log, config, source=source, kind=kind, progress=progress)
     if arguments.plot is not None:
         plot(found, arguments.plot)
     if arguments.json:
-        _print_json(found.to_dict())
+        print_json(found.to_dict())
     else:
         render(found)
 
@@ -270,6 +189,19 @@ def _check_picture(path: Path | None) -> None:
 
     if path is not None:
         check_picture(path)
+
+
+def _check_text(path: Path | None) -> None:
+    """Refuse a text file's place before the work, not after it."""
+    try:
+        if path is not None:
+            check_makable(path)
+    except OSError as error:
+        raise _unwritable(path, error) from error
+
+
+def _unwritable(path: Path | None, error: OSError) -> GraphnavError:
+    return GraphnavError(f"{path}: cannot be written ({error.strerror or error})")
 
 
 def _config(arguments: argparse.Namespace) -> Config | None:
@@ -286,28 +218,6 @@ def _write_text(path: Path, text: str) -> None:
         beside.write_text(text, encoding="utf-8")
         beside.replace(path)
     except OSError as error:
-        raise GraphnavError(f"{path}: cannot be written ({error.strerror or error})") from error
+        raise _unwritable(path, error) from error
     finally:
         beside.unlink(missing_ok=True)
-
-
-def _read(path: Path) -> SensorLog:
-    from graphnav.readers import read
-    from graphnav.report.terminal import working
-
-    with working(f"reading {path}"):
-        return read(path)
-
-
-def _write(log: SensorLog, arguments: argparse.Namespace, images: Callable[[Path], None] | None = None) -> None:
-    from graphnav.readers import write
-
-    write(log, arguments.output, tables=arguments.tables, overwrite=arguments.overwrite, images=images)
-    rows = ", ".join(f"{name} {len(table):,}" for name, table in log.tables().items())
-    print(f"wrote {arguments.output}: {rows}", file=sys.stderr)
-
-
-def _print_json(value: Any) -> None:
-    from graphnav.report.text import to_json
-
-    print(to_json(value), flush=True)

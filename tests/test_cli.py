@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 import json
 import re
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 
 import graphnav.smooth as smooth_module
-from graphnav import cli, commands, demo
+from graphnav import cli, demo, log_commands
 from graphnav.errors import SolveError
 from graphnav.methods import METHODS
 from graphnav.readers import read
@@ -328,6 +329,39 @@ def test_output_that_may_not_be_replaced_is_refused_before_the_work(
         assert f"{place}: cannot write the run folder (" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "simulate shearer-mems -o PLACE", "import kitti-gtsam -o PLACE", "smooth LOG -o PLACE", "demo -o PLACE",
+        "compare LOG --methods batch --markdown PLACE", "compare LOG --methods batch --plot PLACE.png",
+        "bound LOG --plot PLACE.png", "observability LOG --plot PLACE.png", "evaluate RUN LOG --plot PLACE.png",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("place", ["/proc/none/out", "FILE/deep/out"])
+def test_no_command_works_for_a_place_that_takes_nothing(
+    line: str,
+    place: str,
+    shift: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """One line that names it, before the work, and nothing left behind."""
+    for module, name in (
+        ("graphnav.smooth", "smooth"), ("graphnav.compare", "compare"), ("graphnav.bound", "bound"),
+        ("graphnav.analysis", "observe"), ("graphnav.readers.kitti_gtsam", "convert"),
+    ):  # fmt: skip
+        monkeypatch.setattr(importlib.import_module(module), name, failing(AssertionError("must not be reached")))
+    file = tmp_path / "file"
+    file.write_text("mine")
+    place = place.replace("FILE", str(file))
+    words = [word.replace("PLACE", place).replace("LOG", str(shift)).replace("RUN", "run") for word in line.split()]
+    assert cli.main(words) == 2
+    out = capsys.readouterr()
+    assert out.out == "" and out.err.count("\n") == 1 and place in out.err
+    assert list(tmp_path.iterdir()) == [file]
+
+
 def test_trying_the_output_leaves_nothing_behind(tmp_path: Path) -> None:
     results.check_writable(tmp_path / "deep" / "run")
     assert list(tmp_path.iterdir()) == []
@@ -424,7 +458,5 @@ def test_module_runs_as_a_program() -> None:
 
 
 def test_importers_are_there() -> None:
-    import importlib
-
-    for module, _ in commands.IMPORTERS.values():
+    for module, _ in log_commands.IMPORTERS.values():
         assert callable(importlib.import_module(module).convert)

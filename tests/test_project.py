@@ -23,6 +23,7 @@ FLOORS = (
         "graphnav._hints",
         "graphnav._schema",
         "graphnav._memory",
+        "graphnav._outputs",
         "graphnav._pool",
         "graphnav._stages",
         "graphnav.methods",
@@ -114,7 +115,7 @@ FLOORS = (
         "graphnav.camera_outcome",
         "graphnav.camera_clock",
     },
-    {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.demo"},
+    {"graphnav.cli", "graphnav.__main__", "graphnav.commands", "graphnav.log_commands", "graphnav.demo"},
 )
 
 

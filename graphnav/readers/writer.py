@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
+from graphnav._outputs import check_makable
 from graphnav.errors import LogError
 from graphnav.log import TABLES, SensorLog
 from graphnav.readers import sections
@@ -58,10 +59,29 @@ def write(
             images(draft)
         _put_in_place(draft, target)
     except OSError as error:
-        problem = f"cannot be written ({error.strerror or error})"
-        raise LogError(problem, where=str(path), fix="choose a folder that can be written to") from None
+        raise _unwritable(path, error) from None
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+
+
+def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> None:
+    """Whether `write` would be able to make a folder, told before there is a log to be written.
+
+    Raises
+    ------
+    LogError : it is a file, holds what is no part of a log, or cannot be made.
+    """
+    target = Path(path).resolve()
+    _check_target(target, overwrite)
+    try:
+        check_makable(target)
+    except OSError as error:
+        raise _unwritable(path, error) from None
+
+
+def _unwritable(path: str | os.PathLike[str], error: OSError) -> LogError:
+    problem = f"cannot be written ({error.strerror or error})"
+    return LogError(problem, where=str(path), fix="choose a folder that can be written to")
 
 
 def _check_target(target: Path, overwrite: bool) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from graphnav._outputs import check_makable
 from graphnav.errors import GraphnavError
 from graphnav.report import panels
 from graphnav.report.plan import draw_plan
@@ -128,6 +129,10 @@ def _save(figure: Figure, path: Path) -> Path:
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a name whose ending is no format that is drawn."""
+    """Refuse a name whose ending is no format that is drawn, and a place that takes no file."""
     if path.suffix.lower() not in (".png", ".pdf", ".svg"):
         raise GraphnavError(f"{path}: a picture's name ends in .png, .pdf or .svg")
+    try:
+        check_makable(path)
+    except OSError as error:
+        raise GraphnavError(f"{path}: cannot be written ({error.strerror or error})") from error

@@ -9,13 +9,13 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from graphnav._outputs import check_makable
 from graphnav._schema import Array
 from graphnav.errors import GraphnavError
 from graphnav.evaluation import Evaluation
@@ -179,9 +179,8 @@ def check_writable(folder: str | Path) -> None:
         The nearest folder above it that exists takes no new folder.
     """
     target = Path(folder).resolve()
-    above = next(place for place in target.parents if place.exists())
     try:
-        Path(tempfile.mkdtemp(prefix=f".{target.name}.trying-", dir=above)).rmdir()
+        check_makable(target)
     except OSError as error:
         raise _unwritable(target, error) from error
 
