@@ -81,9 +81,9 @@ def solved_in_rounds(
             problem, values = moved(problem, clock), result.values
     with stages.stage("solve"):
         told = _told(problem, graph, said, result)
-    result = replace(result, iterations=tuple(history))
     return Solved(
-        result, data, better, **vars(said), clock_moved=clock_moved, camera_late=late, clock=problem.clock, **told
+        **vars(said), **told, result=replace(result, iterations=tuple(history)), data=data,
+        biases_moved=better, clock_moved=clock_moved, camera_late=late, clock=problem.clock,
     )  # fmt: skip
 
 

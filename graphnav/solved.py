@@ -18,9 +18,17 @@ from graphnav.rival_paths import Rival
 from graphnav.solvers import batch
 
 
-@dataclass(frozen=True)
+@dataclass
 class Said:
-    """What sensors say beside IMU and odometer: what takes part, and what was left out since it disagrees."""
+    """What sensors say beside IMU and odometer: what takes part, and what was left out since it disagrees.
+
+    Attributes
+    ----------
+    legs : the readings of legs that are used, or None; legs_left_out : those that disagree.
+    ranges : the UWB ranges that are used, or None; ranges_left_out : those that disagree.
+    camera : what the camera says that is used, or None; camera_left_out : what disagrees.
+    advances : pairs of legs tied by the push of their support, or None.
+    """
 
     legs: LegReadings | None = None
     legs_left_out: LegReadings | None = None
@@ -31,9 +39,9 @@ class Said:
     advances: AdvanceFamily | None = None
 
 
-@dataclass
-class Solved:
-    """A solver's outcome.
+@dataclass(kw_only=True)
+class Solved(Said):
+    """A solver's outcome, with the readings that it rests on.
 
     Attributes
     ----------
@@ -43,12 +51,8 @@ class Solved:
         camera_late : whether the camera's did.
     clock : with which the ranges were carried.
     clock_score : what the ranges say of a time offset that is no variable, or None; camera_score : what all says of
-        the camera's angles that are none.
+        the camera's angles and clock that are none.
     suspects : where it did not converge, what of the log stands out.
-    legs : the readings of legs that were used, or None; legs_left_out : those that disagreed.
-    ranges : the UWB ranges that were used, or None; ranges_left_out : those that disagreed.
-    camera : what the camera said that was used, or None; camera_left_out : what disagreed.
-    advances : pairs of legs tied by the push of their support, or None.
     causal : the states that an incremental solver knew from the past alone, or None.
     doubt : where ranges contradicted each other, which anchor may be wrong; else None.
     rival : a path that ranges fit as well, or None.
@@ -57,13 +61,6 @@ class Solved:
     result: batch.BatchResult
     data: Preintegrated
     biases_moved: bool
-    legs: LegReadings | None = None
-    legs_left_out: LegReadings | None = None
-    ranges: RangeReadings | None = None
-    ranges_left_out: RangeReadings | None = None
-    camera: Camera | None = None
-    camera_left_out: Camera | None = None
-    advances: AdvanceFamily | None = None
     causal: States | None = None
     clock_moved: bool = False
     camera_late: bool = False
