@@ -5,10 +5,11 @@ fewest keyframes give the smallest drift. So the next keyframe is the last frame
 features that the frame after the keyframe shared with it, and is near enough for a graph to have poses where it needs
 them. While the camera stands it goes on seeing the same features: one motion bridges the whole rest.
 
-But not more than the rest. Between keyframes a chain of motions goes at constant velocity: a motion from the begin of a
-rest of 60 s to 0.2 m behind its end would have the machine creep all that time (`docs/stereo-odometry.md`). So frames
-within a motion are asked: if one of them was elsewhere beyond doubt, the motion ends at the last frame up to which the
-camera went evenly. Only places count: a machine that shakes never turns evenly, and its attitude is soon back.
+But not more than the rest, where no IMU tells how the camera went from keyframe to keyframe. A chain of motions goes at
+constant velocity there: one motion from the begin of a rest of 60 s to 0.2 m behind its end has the machine creep all
+that time (`docs/stereo-odometry.md`). So frames within a motion are asked: if one of them was elsewhere beyond doubt,
+the motion ends at the last frame up to which the camera went evenly. Only places count: a machine that shakes never
+turns evenly, and its attitude is soon back.
 """
 
 from __future__ import annotations
@@ -54,11 +55,18 @@ class Link(NamedTuple):
 
 @dataclass(frozen=True)
 class Linker:
-    """Chooses keyframes; `motion` gives the motion between two frames."""
+    """Chooses keyframes.
+
+    Attributes
+    ----------
+    motion : gives the motion between two frames.
+    evenly : whether the camera has to have gone evenly from keyframe to keyframe.
+    """
 
     frames: TrackedFrames
     settings: StereoMotionsConfig
     motion: MotionOf
+    evenly: bool = True
 
     def links(self) -> Iterator[Link]:
         """From the first frame to the last. Where even the next frame gives no motion, it is where it goes on."""
@@ -77,7 +85,7 @@ class Linker:
             if link.second == at + 1 or excess <= _TOO_FAR:
                 break
             link = self._reached(at, at + max(1, int((link.second - at) / excess)))
-        return link if self._even(link) else self._even_part(link)
+        return link if not self.evenly or self._even(link) else self._even_part(link)
 
     def _even_part(self, link: Link) -> Link:
         """The longest part of a motion, by halves, that was even."""
