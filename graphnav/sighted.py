@@ -34,8 +34,12 @@ class Sighted:
     notes: tuple[str, ...] = ()
 
 
-def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None) -> Sighted:
+def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None, *, alone: bool = False) -> Sighted:
     """The log with what its camera saw; as it is where it has no camera, or where that is not to be used.
+
+    Parameters
+    ----------
+    alone : whether its motions are all that the method goes by, though there may be an IMU.
 
     Raises
     ------
@@ -55,7 +59,7 @@ def with_stereo(log: SensorLog, config: Config, progress: Progress | None = None
         notes += ("time_sigma_s of [stereo] is not used: nothing but an IMU tells a camera's clock",)
     if log.imu is None and log.relative_pose is not None:
         return Sighted(log, None, notes)
-    return _moved(log, config, notes, progress)
+    return _moved(log, config, notes, progress, evenly=alone or log.imu is None)
 
 
 def _tracked(log: SensorLog, config: Config, progress: Progress | None) -> tuple[SensorLog, tuple[str, ...]]:
@@ -80,12 +84,14 @@ def _tracked(log: SensorLog, config: Config, progress: Progress | None) -> tuple
     return replace(log, stereo_tracks=found.tracks, stereo=stereo), notes
 
 
-def _moved(log: SensorLog, config: Config, notes: tuple[str, ...], progress: Progress | None) -> Sighted:
+def _moved(
+    log: SensorLog, config: Config, notes: tuple[str, ...], progress: Progress | None, *, evenly: bool
+) -> Sighted:
     """The log with motions from its tracked features, as measurements or as a guide."""
     from graphnav.frontends.stereo_odometry import stereo_motions
 
     turns = None if log.imu is None or log.stereo is None else gyro_turns(log.imu, log.stereo, rest_spans(log))
-    found = stereo_motions(log, config.stereo_motions, rotation_prior=turns, progress=progress)
+    found = stereo_motions(log, config.stereo_motions, rotation_prior=turns, progress=progress, evenly=evenly)
     refuse_contradiction(found, log.name)
     note = failure_note(found)
     notes += (note,) if note else ()

@@ -90,7 +90,7 @@ def _by_method(log: SensorLog, config: Config, method: str, stages: Stages) -> R
     if method == "stereo":
         from graphnav.stereo_filtered import run_stereo
 
-        return run_stereo(_sighted(log, config, stages), config, stages)
+        return run_stereo(_sighted(log, config, stages, alone=True), config, stages)
     if log.imu is None:
         sighted = _sighted(log, config, stages)
         if sighted.log.relative_pose is not None or sighted.guide is not None:
@@ -140,9 +140,9 @@ def _posed(log: SensorLog, config: Config, stages: Stages) -> Problem:
         return pose_problem(log, config, frontend, (*sighted.notes, *notes))
 
 
-def _sighted(log: SensorLog, config: Config, stages: Stages) -> Sighted:
+def _sighted(log: SensorLog, config: Config, stages: Stages, *, alone: bool = False) -> Sighted:
     with stages.stage("frontend") as tick:
-        return with_stereo(log, config, tick)
+        return with_stereo(log, config, tick, alone=alone)
 
 
 def _opened(log: SensorLog | str | Path, stages: Stages) -> SensorLog:

@@ -51,12 +51,13 @@ This page is written by
 
 METHODS = """
 - *SINS alone* (`--method sins`): inertial navigation, aligned, and relieved of the biases that the rest of 60 s tells.
-- *Stereo odometry alone* (`stereo`): motions between keyframes, found from tracked features, one behind the other.
+- *Stereo odometry alone* (`stereo`): motions between keyframes, found from tracked features, one behind the other;
+  they end where the machine stops going evenly, which nothing but an IMU would tell in between.
 - *The paper's filter* (`vio-kf`): equations 17 to 32, 15 states, position and attitude of the SINS less those of the
   chained stereo odometry. The paper states no measurement noise; `vio_filter` has what a camera's maker might state.
 - *Filter on relative poses* (`vio_filter.relative`): the same filter, in which each motion measures how the pose
   changed since its keyframe (a cloned pose), with the covariance that stereo odometry states.
-- *Graph, loose* (`batch`, `stereo.form = "loose"`): the same motions as relative-pose factors. *Graph, tight*
+- *Graph, loose* (`batch`, `stereo.form = "loose"`): motions as relative-pose factors. *Graph, tight*
   (`batch`): each tracked feature is a point of the graph.
 - All look at images through CLAHE, the default. *Enhanced images*: `stereo_tracks.enhance = "retinex-dust"`, the
   paper's equations 1 to 9; *raw images*: `"none"`.

@@ -144,11 +144,11 @@ class Bundle:
 
 
 @lru_cache
-def gate(sigmas: float) -> float:
-    """The squared error that a right point exceeds as seldom as a normal error its `sigmas`."""
+def gate(sigmas: float, freedom: int = FREEDOM) -> float:
+    """The squared error (of a right point) that is exceeded as seldom as a normal error its `sigmas`."""
     from scipy.stats import chi2, norm
 
-    return float(chi2.isf(2 * norm.sf(sigmas), FREEDOM))
+    return float(chi2.isf(2 * norm.sf(sigmas), freedom))
 
 
 def adjusted(

@@ -4,6 +4,12 @@ Every keyframe's noise enters the motion to it and the one from it, and every mo
 fewest keyframes give the smallest drift. So the next keyframe is the last frame that still sees a given share of the
 features that the frame after the keyframe shared with it, and is near enough for a graph to have poses where it needs
 them. While the camera stands it goes on seeing the same features: one motion bridges the whole rest.
+
+But not more than the rest, where no IMU tells how the camera went from keyframe to keyframe. A chain of motions goes at
+constant velocity there: one motion from the begin of a rest of 60 s to 0.2 m behind its end has the machine creep all
+that time (`docs/stereo-odometry.md`). So frames within a motion are asked: if one of them was elsewhere beyond doubt,
+the motion ends at the last frame up to which the camera went evenly. Only places count: a machine that shakes never
+turns evenly, and its attitude is soon back.
 """
 
 from __future__ import annotations
@@ -15,7 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from factors import so3
+from factors.relative_pose import Chain, Motions
+from factors.so3 import Array
 from graphnav.config import StereoMotionsConfig
+from graphnav.frontends.stereo_bundle import gate
 from graphnav.frontends.stereo_frames import TrackedFrames
 from graphnav.frontends.stereo_motion import MotionFailure, StereoMotion
 
@@ -26,6 +35,10 @@ _AMPLE = 2
 _TOO_FAR = 2.0
 #: Frames nearer by are tried this often for one that is near enough.
 _NEARER = 4
+#: Where within a motion it is asked whether it was even; thrice, since one with a pause may be in the middle in time.
+_INNER = (0.25, 0.5, 0.75)
+#: Off by more than this it was not. By chance one motion in 5,000 is off by as much, and costs one keyframe more.
+_UNEVEN_SIGMAS = 4.0
 
 
 #: The motion between two frames, given by their numbers.
@@ -42,11 +55,18 @@ class Link(NamedTuple):
 
 @dataclass(frozen=True)
 class Linker:
-    """Chooses keyframes; `motion` gives the motion between two frames."""
+    """Chooses keyframes.
+
+    Attributes
+    ----------
+    motion : gives the motion between two frames.
+    evenly : whether the camera has to have gone evenly from keyframe to keyframe.
+    """
 
     frames: TrackedFrames
     settings: StereoMotionsConfig
     motion: MotionOf
+    evenly: bool = True
 
     def links(self) -> Iterator[Link]:
         """From the first frame to the last. Where even the next frame gives no motion, it is where it goes on."""
@@ -65,7 +85,48 @@ class Linker:
             if link.second == at + 1 or excess <= _TOO_FAR:
                 break
             link = self._reached(at, at + max(1, int((link.second - at) / excess)))
-        return link
+        return link if not self.evenly or self._even(link) else self._even_part(link)
+
+    def _even_part(self, link: Link) -> Link:
+        """The longest part of a motion, by halves, that was even."""
+        at, uneven = link.first, link.second
+        best = self._reached(at, at + 1)
+        while uneven - best.second > 1:
+            middle = (best.second + uneven) // 2
+            shorter = Link(at, middle, self.motion(at, middle))
+            if isinstance(shorter.motion, StereoMotion) and self._even(shorter):
+                best = shorter
+            else:
+                uneven = middle
+        return best
+
+    def _even(self, link: Link) -> bool:
+        """Whether no frame within the motion was elsewhere than at constant velocity."""
+        if isinstance(link.motion, MotionFailure):
+            return True
+        inner = {link.first + round(share * (link.second - link.first)) for share in _INNER}
+        return not any(self._elsewhere(link, link.motion, k) for k in sorted(inner - {link.first, link.second}))
+
+    def _elsewhere(self, link: Link, whole: StereoMotion, inner: int) -> bool:
+        """Whether the motion to a frame within another is, beyond doubt, no such part of it as its time is.
+
+        Both have the noise of the first frame, which counts as if it were two: less is found, nothing more.
+        """
+        part = self.motion(link.first, inner)
+        if isinstance(part, MotionFailure):
+            return False
+        share, rotation, pos_m = self._evenly(link, whole, inner)
+        off = rotation.T @ (part.pos_m - pos_m)
+        cov = (part.cov + share**2 * whole.cov)[3:, 3:]
+        return bool(off @ np.linalg.solve(cov, off) > gate(_UNEVEN_SIGMAS, len(off)))
+
+    def _evenly(self, link: Link, whole: StereoMotion, inner: int) -> tuple[float, Array, Array]:
+        """The share of the time and of the motion (3, 3), (3,) at a frame within, as `Chain` has it."""
+        ends_s = self.frames.t_s[[link.first, link.second]]
+        motion = Motions(whole.rotation[None], whole.pos_m[None], whole.cov[None])
+        t_s = self.frames.t_s[[inner]]
+        rotation, pos_m = Chain.of(ends_s, motion).at(t_s)
+        return float((t_s[0] - ends_s[0]) / np.diff(ends_s)[0]), rotation[0], pos_m[0]
 
     def _reached(self, at: int, target: int) -> Link:
         """The motion to a frame, or to one half as far if that fails, down to the next one."""

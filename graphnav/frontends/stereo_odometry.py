@@ -65,6 +65,8 @@ def stereo_motions(
     tracks: StereoTracks | None = None,
     rotation_prior: RotationBetween | None = None,
     progress: Callable[[float, float], None] | None = None,
+    *,
+    evenly: bool = True,
 ) -> StereoMotions:
     """Motions of the camera between keyframes.
 
@@ -74,6 +76,8 @@ def stereo_motions(
     tracks : tracked features; None: those of the log.
     rotation_prior : rotations that the IMU tells, for the use that `settings` names.
     progress : called with the frames done and all.
+    evenly : a motion ends where the camera stops going evenly, as a chain of motions takes it to between keyframes;
+        beside an IMU, which knows better, that costs keyframes for nothing.
 
     Raises
     ------
@@ -86,7 +90,8 @@ def stereo_motions(
         raise LogError(f"no {missing}", where=f"log {log.name}", fix="stereo odometry needs both")
     frames = TrackedFrames.of(tracks)
     links = []
-    for link in Linker(frames, settings, _between(frames, log.stereo, settings, rotation_prior)).links():
+    between = _between(frames, log.stereo, settings, rotation_prior)
+    for link in Linker(frames, settings, between, evenly).links():
         links.append(link)
         if progress is not None:
             progress(link.second, len(frames) - 1)
