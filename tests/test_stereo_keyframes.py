@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from factors import so3
 from graphnav.config import Config, StereoMotionsConfig
 from graphnav.frontends import stereo_odometry
 from graphnav.frontends.motion_chain import camera_mounting
+from graphnav.frontends.stereo_keyframes import Linker
+from graphnav.frontends.stereo_motion import MotionFailure, StereoMotion
 from graphnav.frontends.stereo_odometry import StereoMotions, stereo_motions
 from graphnav.log import InitialState, SensorLog, Truth
 from graphnav.sighted import with_stereo
@@ -91,6 +94,36 @@ def test_an_even_drive_has_the_same_motions() -> None:
         asked, unasked = (stereo_motions(log, SETTINGS, evenly=evenly).poses for evenly in (True, False))
         assert asked is not None and unasked is not None
         np.testing.assert_array_equal(asked.t_to_s, unasked.t_to_s)
+
+
+class FramesAlike:
+    """Frames that all see the same features."""
+
+    def __init__(self, t_s: np.ndarray) -> None:
+        self.t_s = t_s
+
+    def __len__(self) -> int:
+        return len(self.t_s)
+
+    def shared(self, _first: int, _second: int) -> int:
+        return 200
+
+
+@pytest.mark.parametrize("covered", [3, 5])
+def test_frames_that_give_no_motion_are_bridged_however_uneven_the_bridge(covered: int) -> None:
+    """The frames behind the first show nothing: an end among them would cost the only motion there is."""
+    t_s = np.arange(40) / RATE_HZ
+    pos_m = 0.45 * (t_s / t_s[-1]) ** 2
+
+    def motion(first: int, second: int) -> StereoMotion | MotionFailure:
+        if not {first, second}.isdisjoint(range(1, covered + 1)):
+            return MotionFailure("covered")
+        way = np.array([0.0, 0.0, pos_m[second] - pos_m[first]])
+        return StereoMotion(np.eye(3), way, 1e-8 * np.eye(6), np.ones(200, bool), 1.0)
+
+    frames: Any = FramesAlike(t_s)
+    links = list(Linker(frames, SETTINGS, motion, evenly=True).links())
+    assert all(isinstance(link.motion, StereoMotion) for link in links)
 
 
 def test_it_is_asked_where_nothing_else_tells_the_way(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,7 +98,7 @@ class Linker:
                 best = shorter
             else:
                 uneven = middle
-        return best
+        return best if isinstance(best.motion, StereoMotion) else link
 
     def _even(self, link: Link) -> bool:
         """Whether no frame within the motion was elsewhere than at constant velocity."""
