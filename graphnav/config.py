@@ -8,18 +8,29 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from graphnav._config_base import Section
 from graphnav._config_errors import config_error, to_toml
+from graphnav.camera_config import RelativePoseConfig, StereoConfig, StereoMotionsConfig, StereoTracksConfig
 from graphnav.errors import ConfigError
+from graphnav.filter_config import (
+    DeadReckoningConfig,
+    FilterConfig,
+    LidarFilterConfig,
+    UwbFilterConfig,
+    VioFilterConfig,
+)
+
+__all__ = [
+    "BatchConfig", "ClosedPathConfig", "Config", "DeadReckoningConfig", "FilterConfig", "ImuConfig", "Isam2Config",
+    "KeyframesConfig", "LidarConfig", "LidarFilterConfig", "OdometerConfig", "PositionConfig", "RelativePoseConfig",
+    "RestConfig", "StereoConfig", "StereoMotionsConfig", "StereoTracksConfig", "UwbConfig", "UwbFilterConfig",
+    "VioFilterConfig",
+]  # fmt: skip
 
 
-class _Section(BaseModel):
-    # strict: "1" is no number and true is no 1; inf is TOML, but no interval
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class KeyframesConfig(_Section):
+class KeyframesConfig(Section):
     """When a keyframe is placed; measurements that need one at their own time get it besides."""
 
     interval_s: float = Field(1.0, gt=0, description="longest time between keyframes")
@@ -27,7 +38,7 @@ class KeyframesConfig(_Section):
     events: bool = Field(True, description="keyframes at the starts and ends of cuts")
 
 
-class ImuConfig(_Section):
+class ImuConfig(Section):
     """Preintegration and biases."""
 
     minor_interval_s: float = Field(0.2, gt=0, description="longest minor interval of the two-speed algorithm")
@@ -36,7 +47,7 @@ class ImuConfig(_Section):
     max_gap_s: float = Field(2.0, gt=0, description="longest hole in the IMU record that is bridged")
 
 
-class OdometerConfig(_Section):
+class OdometerConfig(Section):
     """How odometer samples enter."""
 
     form: Literal["displacement", "velocity"] = Field(
@@ -48,7 +59,7 @@ class OdometerConfig(_Section):
     max_gap_s: float = Field(60.0, gt=0, description="longest hole in the odometer record that the IMU bridges")
 
 
-class RestConfig(_Section):
+class RestConfig(Section):
     """Zero velocity and unchanged pose while at rest."""
 
     use: bool = True
@@ -57,7 +68,7 @@ class RestConfig(_Section):
     position_sigma_m: float = Field(1e-4, gt=0, description="change of position between keyframes of one rest")
 
 
-class ClosedPathConfig(_Section):
+class ClosedPathConfig(Section):
     """Closed-path position measurements."""
 
     form: Literal["relative", "absolute", "off"] = "relative"
@@ -67,13 +78,13 @@ class ClosedPathConfig(_Section):
     )
 
 
-class PositionConfig(_Section):
+class PositionConfig(Section):
     """Absolute positions."""
 
     use: bool = True
 
 
-class BatchConfig(_Section):
+class BatchConfig(Section):
     """Gauss-Newton with Levenberg-Marquardt damping."""
 
     max_iterations: int = Field(25, ge=1)
@@ -83,7 +94,7 @@ class BatchConfig(_Section):
     bias_move_rounds: int = Field(3, ge=1, description="repetitions of preintegration at better biases")
 
 
-class Isam2Config(_Section):
+class Isam2Config(Section):
     """Incremental smoothing."""
 
     keyframes_per_update: int = Field(1, ge=1)
@@ -103,7 +114,7 @@ class Isam2Config(_Section):
     leg_gap_s: float = Field(30.0, ge=0, description="one out of view for longer is new, until the batch steps")
 
 
-class LidarConfig(_Section):
+class LidarConfig(Section):
     """Support legs as landmarks."""
 
     use: bool = True
@@ -119,7 +130,7 @@ class LidarConfig(_Section):
     advances: bool = Field(True, description="legs of successive cycles are tied by the push of their support")
 
 
-class UwbConfig(_Section):
+class UwbConfig(Section):
     """UWB ranges."""
 
     use: bool = True
@@ -135,137 +146,7 @@ class UwbConfig(_Section):
     time_offset_sigma_s: float = Field(0.2, gt=0, description="how far d may be from zero, 1 sigma")
 
 
-class RelativePoseConfig(_Section):
-    """Motions of the camera: given as relative poses, or found from its images."""
-
-    use: bool = True
-    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
-        "geman-mcclure", description="how motions that disagree are found; none: all count in full"
-    )
-    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
-    reject_sigmas: float = Field(4.0, gt=0, description="motions that are off by more are left out in the end")
-
-
-class StereoConfig(_Section):
-    """Features that a stereo camera tracks."""
-
-    form: Literal["tight", "loose", "off"] = Field(
-        "tight", description="every feature a point of the graph, or relative poses from them; off: neither"
-    )
-    loss: Literal["none", "huber", "cauchy", "geman-mcclure"] = Field(
-        "geman-mcclure", description="how readings that disagree are found; none: all count in full"
-    )
-    loss_sigmas: float = Field(3.0, gt=0, description="where it departs from least squares")
-    reject_sigmas: float = Field(4.0, gt=0, description="readings that are off by more are left out in the end")
-
-
-class StereoTracksConfig(_Section):
-    """Features followed through image pairs, where the log has images and no tracks."""
-
-    features: Literal["orb", "sift"] = "orb"
-    enhance: Literal["none", "clahe", "retinex-dust"] = Field("clahe", description="what is done to the images before")
-    follow: Literal["flow", "descriptors"] = Field(
-        "flow", description="from frame to frame by the image around a feature, or by matching descriptors as the paper"
-    )
-    subpixel: bool = Field(True, description="places to a fraction of a pixel, by correlation with the first sight")
-    max_features: int = Field(300, ge=8, le=5000, description="features followed at a time, spread over the image")
-    min_features: int = Field(12, ge=3, description="a frame with fewer is skipped")
-    min_depth_m: float = Field(1.0, gt=0, description="nothing is nearer; it bounds the disparities looked at")
-    bias_px: float = Field(
-        0.03,
-        ge=0,
-        description="sigma of what all disparities are too large by, as features on slanted walls are found",
-    )
-    min_disparity_px: float = Field(0.5, ge=0, description="features farther away than this tells are left out")
-
-
-class StereoMotionsConfig(_Section):
-    """Motions of the stereo camera from tracked points."""
-
-    min_inliers: int = Field(20, ge=6, description="fewest points that have to agree on a motion")
-    inlier_sigmas: float = Field(4.0, gt=0, description="points that are off by more are taken for wrong matches")
-    shared: float = Field(
-        0.7, gt=0, lt=1, description="the next keyframe is the last that sees this share of a keyframe's features"
-    )
-    keyframe_m: float = Field(0.5, gt=0, description="and, where frames are close enough, not much farther away")
-    keyframe_deg: float = Field(10.0, gt=0, description="nor turned by much more")
-    rotation_prior: Literal["off", "gate", "fuse"] = Field(
-        "gate",
-        description="what the IMU's rotation is for: rejecting wrong motions, or also improving them (stereo alone;"
-        " beside the IMU in a graph it would count twice)",
-    )
-    rotation_gate_sigmas: float = Field(5.0, gt=0, description="a motion turned farther from it is a failure")
-
-
-class FilterConfig(_Section):
-    """The error-state Kalman filter of the methods ekf, rts and rts-online."""
-
-    preset: Literal["matched", "paper"] = Field(
-        "matched", description="the log's declared sigmas, or the published tuning (P0 x 3, Q x 5)"
-    )
-
-
-class LidarFilterConfig(_Section):
-    """The INS/LiDAR paper's filter, the method lidar-ekf."""
-
-    features: int = Field(1, ge=1, le=8, description="legs used at a time (the paper's N)")
-    mode: int | None = Field(
-        None, ge=1, le=9, description="row of the paper's table 1; left out: 2 or 7, as the first arrival tells"
-    )
-    distance_m: float | None = Field(
-        None, ge=0, description="least distance of a leg along the face (the paper's d); left out: as far as they rest"
-    )
-    picm: bool = Field(True, description="correct the scanner's mounting by the first arrival at the far end")
-    leg: Literal["line", "point"] = Field(
-        "line",
-        description="the point seen slides on an upright leg as the scan plane turns, or is fixed as in the paper",
-    )
-    independent_s: float = Field(
-        1.0, ge=0, description="scans within this share an error (wobble of a leaning leg) and count as one; 0: white"
-    )
-    height_sigma_m: float = Field(0.01, gt=0, description="a leg is seen in the scan plane within this")
-    height_walk_m_sqrt_s: float = Field(1e-3, gt=0, description="random walk of the height at which it is seen")
-
-
-class UwbFilterConfig(_Section):
-    """The IMU/UWB paper's filters: the methods imu-uwb, and those that end in vbukf."""
-
-    bias_time_s: float | None = Field(
-        None, gt=0, description="time constant of the Gauss-Markov biases; left out: as their declared walk tells"
-    )
-    gate_sigmas: float | None = Field(None, gt=0, description="ranges farther off are left out; the paper has no gate")
-    inflate: bool = Field(
-        False, description="ranges with Markov errors count as seldom as these renew; the paper takes them for white"
-    )
-    accel_density_m_s2_sqrt_hz: float = Field(0.01, gt=0, description="what drives the velocity in the VB-UKF")
-    noise_memory_s: float = Field(10.0, gt=0, description="span over which the VB-UKF learns the noise")
-
-
-class VioFilterConfig(_Section):
-    """The stereo paper's filter, the method vio-kf.
-
-    The paper states no measurement noise. The defaults are what a camera's maker would state for a short way, 0.3 % of
-    20 m and a few tenths of a degree; no recording was looked at for them.
-    """
-
-    position_sigma_m: float = Field(0.05, gt=0, description="white error of a chained position (the paper's D_k)")
-    attitude_sigma_deg: float = Field(0.3, gt=0, description="and of a chained attitude, about each axis")
-    relative: bool = Field(
-        False,
-        description="each motion measures how the pose changed, with its own covariance; the paper chains them first",
-    )
-
-
-class DeadReckoningConfig(_Section):
-    """What dead reckoning is told of the sensors' errors."""
-
-    compensation: Literal["none", "rest", "rts"] = Field(
-        "rest",
-        description="gyro biases, scale and mounting: none; the gyro bias of the first rest; or all from an RTS run",
-    )
-
-
-class Config(_Section):
+class Config(Section):
     """Everything `graphnav smooth` can be told."""
 
     keyframes: KeyframesConfig = KeyframesConfig()
