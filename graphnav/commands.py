@@ -1,4 +1,7 @@
-"""The commands that make something of a log, one function each; they take the parsed arguments."""
+"""The commands that make something of a log, one function each; they take the parsed arguments.
+
+Each tries its outputs first, before it imports what takes a second to.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from graphnav._outputs import check_makable
+from graphnav._outputs import check_file
 from graphnav.errors import GraphnavError
 from graphnav.log_commands import print_json, read_log
 
@@ -37,10 +40,11 @@ def smooth(arguments: argparse.Namespace) -> None:
     """Smooth a log to a run folder."""
     from graphnav.report import results
     from graphnav.report.terminal import ProgressBar, run_summary
-    from graphnav.smooth import smooth as smooth_log
 
     results.check_folder(arguments.output, overwrite=arguments.overwrite)
     results.check_writable(arguments.output)
+    from graphnav.smooth import smooth as smooth_log
+
     config = _config(arguments)
     begun = time.perf_counter()
     log = read_log(arguments.log)
@@ -78,12 +82,12 @@ def _with_read_time(run: Run, read_s: float) -> Run:
 
 def evaluate(arguments: argparse.Namespace) -> None:
     """Judge a run by the truth in its log."""
+    _check_picture(arguments.plot)
     from graphnav.evaluation import evaluate as judge
     from graphnav.report.plots import plot_run
     from graphnav.report.results import load, log_of
     from graphnav.report.terminal import evaluation_tables
 
-    _check_picture(arguments.plot)
     trajectory = load(arguments.folder)
     log = read_log(arguments.log)
     run_of = log_of(arguments.folder)
@@ -100,12 +104,12 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
 def compare(arguments: argparse.Namespace) -> None:
     """Compare methods; what a method that failed leaves of the others is shown before its failure is told."""
+    _check_picture(arguments.plot)
+    _check_text(arguments.markdown)
     from graphnav.compare import compare as compare_methods
     from graphnav.report.comparison import plot, show
     from graphnav.report.terminal import ProgressBar
 
-    _check_picture(arguments.plot)
-    _check_text(arguments.markdown)
     config = _config(arguments)
     with ProgressBar() as progress:
         found = compare_methods(arguments.log, arguments.methods, config, arguments.seeds, progress)
@@ -125,11 +129,11 @@ def compare(arguments: argparse.Namespace) -> None:
 
 def bound(arguments: argparse.Namespace) -> None:
     """Show the Cramer-Rao bound of a log."""
+    _check_picture(arguments.plot)
     from graphnav.bound import bound as bound_of
     from graphnav.report.limits import plot, show
     from graphnav.report.terminal import ProgressBar
 
-    _check_picture(arguments.plot)
     config = _config(arguments)
     log = read_log(arguments.log)
     with ProgressBar() as progress:
@@ -165,11 +169,11 @@ def creep(arguments: argparse.Namespace) -> None:
 
 def observability(arguments: argparse.Namespace) -> None:
     """Show which states a log makes observable."""
+    _check_picture(arguments.plot)
     from graphnav.analysis import observe
     from graphnav.report.observability import plot, render
     from graphnav.report.terminal import ProgressBar
 
-    _check_picture(arguments.plot)
     source: Any = "filter" if arguments.filter else "graph"
     kind: Any = "smoothed" if arguments.smoothed else "causal"
     log, config = read_log(arguments.log), _config(arguments)
@@ -195,7 +199,7 @@ def _check_text(path: Path | None) -> None:
     """Refuse a text file's place before the work, not after it."""
     try:
         if path is not None:
-            check_makable(path)
+            check_file(path)
     except OSError as error:
         raise _unwritable(path, error) from error
 

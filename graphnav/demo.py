@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 SEED = 11
 #: SEP per cycle, m: Zheng et al., Micromachines 12 (2021) 1527, Table 3, Kalman filter and RTS smoother.
 PAPER_SEP_M = (0.50, 0.32, 0.13, 0.17)
+#: Folders of the two.
+_SHEARER, _DRIVE = "shearer-mems", "kitti-gtsam"
 ProgressHook = Callable[[str, float, float], None]
 
 
@@ -61,14 +63,13 @@ def run_demo(folder: str | Path, progress: ProgressHook | None = None) -> Demo:
     Raises
     ------
     GraphnavError
-        The folder is a file or cannot be written.
+        The folder is a file or a log, holds what is not replaced, or cannot be written.
     """
     begun = time.perf_counter()
     folder = Path(folder)
-    if folder.is_file():
-        raise GraphnavError(f"{folder}: is a file; give a folder")
-    shearer, shearer_errors = _shearer(folder / "shearer-mems", progress)
-    drive, drive_errors = _drive(folder / "kitti-gtsam", progress)
+    _check_output(folder)
+    shearer, shearer_errors = _shearer(folder / _SHEARER, progress)
+    drive, drive_errors = _drive(folder / _DRIVE, progress)
     return Demo(folder, shearer, shearer_errors, drive, drive_errors, time.perf_counter() - begun)
 
 
@@ -86,9 +87,30 @@ def show(demo: Demo) -> None:
     say(f"rms {east:.3f} / {north:.3f} / {up:.3f} m east / north / up")
     withheld_table("Car, recorded drive of 472 s (KITTI, from the gtsam package)", demo.drive_errors)
     say("")
-    for name in ("shearer-mems", "kitti-gtsam"):
+    for name in (_SHEARER, _DRIVE):
         say(f"{demo.folder / name}: log/, run/ and run.png")
     say(f"{demo.seconds:.0f} s in all")
+
+
+def _check_output(folder: Path) -> None:
+    """Refuse a folder that does not take all the results, before there is one of them."""
+    from graphnav.readers.writer import check_output
+    from graphnav.report.plots import check_picture
+    from graphnav.report.results import check_folder, check_writable
+
+    try:
+        file, log = folder.is_file(), (folder / "log.toml").exists()
+    except OSError as error:  # a name longer than names may be
+        raise GraphnavError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    if file:
+        raise GraphnavError(f"{folder}: is a file; give a folder")
+    if log:
+        raise GraphnavError(f"{folder}: is a log folder; give another folder")
+    for part in (folder / _SHEARER, folder / _DRIVE):
+        check_output(part / "log")
+        check_folder(part / "run")
+        check_writable(part / "run")
+        check_picture(part / "run.png")
 
 
 def _shearer(folder: Path, progress: ProgressHook | None) -> tuple[Run, Evaluation]:

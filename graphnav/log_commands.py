@@ -66,6 +66,8 @@ def import_log(arguments: argparse.Namespace) -> None:
 def simulate(arguments: argparse.Namespace) -> None:
     """Simulate a scenario to a log folder."""
     from graphnav.readers.writer import check_output
+
+    check_output(arguments.output, overwrite=arguments.overwrite)
     from graphnav.report.terminal import ProgressBar, working
     from graphnav.simulation import simulate as simulate_log
     from graphnav.simulation.stereo_images import render_into
@@ -79,7 +81,6 @@ def simulate(arguments: argparse.Namespace) -> None:
     if "sensors" in options:
         options["sensors"] = tuple(name.strip() for name in options["sensors"].split(","))
     _check_options(arguments.scenario, options)
-    check_output(arguments.output, overwrite=arguments.overwrite)
     with working("simulating"):
         log = simulate_log(arguments.scenario, seed=arguments.seed, **options)
     if log.stereo_pairs is None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tree import printed
 
 import graphnav.smooth as smooth_module
 from graphnav import cli, demo, log_commands
@@ -337,7 +338,11 @@ def test_output_that_may_not_be_replaced_is_refused_before_the_work(
         "bound LOG --plot PLACE.png", "observability LOG --plot PLACE.png", "evaluate RUN LOG --plot PLACE.png",
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("place", ["/proc/none/out", "FILE/deep/out"])
+@pytest.mark.parametrize(
+    "place",
+    ["/proc/none/out", "HERE/file/deep/out", "HERE/held", f"HERE/{'x' * 300}"],
+    ids=["none", "file", "held", "long"],
+)
 def test_no_command_works_for_a_place_that_takes_nothing(
     line: str,
     place: str,
@@ -350,16 +355,42 @@ def test_no_command_works_for_a_place_that_takes_nothing(
     for module, name in (
         ("graphnav.smooth", "smooth"), ("graphnav.compare", "compare"), ("graphnav.bound", "bound"),
         ("graphnav.analysis", "observe"), ("graphnav.readers.kitti_gtsam", "convert"),
+        ("graphnav.simulation", "simulate"),
     ):  # fmt: skip
         monkeypatch.setattr(importlib.import_module(module), name, failing(AssertionError("must not be reached")))
-    file = tmp_path / "file"
-    file.write_text("mine")
-    place = place.replace("FILE", str(file))
+    mine = ("file", "held/notes.txt", "held/shearer-mems/run/notes.txt", "held.png/notes.txt")
+    for file in (tmp_path / name for name in mine):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    place = place.replace("HERE", str(tmp_path))
     words = [word.replace("PLACE", place).replace("LOG", str(shift)).replace("RUN", "run") for word in line.split()]
     assert cli.main(words) == 2
     out = capsys.readouterr()
     assert out.out == "" and out.err.count("\n") == 1 and place in out.err
-    assert list(tmp_path.iterdir()) == [file]
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_no_output_is_tried_after_what_takes_a_second_to_import() -> None:
+    lines = (
+        "simulate shearer-mems -o /proc/none/out", "import kitti-gtsam -o /proc/none/out", "demo -o /proc/none/out",
+        "smooth log -o /proc/none/out", "compare log --markdown /proc/none/out", "bound log --plot /proc/none/out.png",
+        "observability log --plot /proc/none/out.png", "evaluate run log --plot /proc/none/out.png",
+    )  # fmt: skip
+    code = f"""
+import sys
+from graphnav.cli import main
+for line in {lines!r}:
+    assert main(line.split()) == 2, line
+    print(line, *sorted({{"gtsam", "numba", "scipy", "pydantic", "open3d", "cv2"}} & set(sys.modules)))
+"""
+    assert printed(code).splitlines() == list(lines)
+
+
+def test_the_demonstration_is_not_put_into_a_log(shift: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["demo", "-o", str(shift)]) == 2
+    assert capsys.readouterr().err == f"graphnav: error: {shift}: is a log folder; give another folder\n"
+    assert not (shift / "shearer-mems").exists()
 
 
 def test_trying_the_output_leaves_nothing_behind(tmp_path: Path) -> None:

@@ -71,9 +71,9 @@ def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> None:
     ------
     LogError : it is a file, holds what is no part of a log, or cannot be made.
     """
-    target = Path(path).resolve()
-    _check_target(target, overwrite)
     try:
+        target = Path(path).resolve()
+        _check_target(target, overwrite)
         check_makable(target)
     except OSError as error:
         raise _unwritable(path, error) from None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from graphnav._outputs import check_makable
+from graphnav._outputs import check_file
 from graphnav.errors import GraphnavError
 from graphnav.report import panels
 from graphnav.report.plan import draw_plan
@@ -133,6 +133,6 @@ def check_picture(path: Path) -> None:
     if path.suffix.lower() not in (".png", ".pdf", ".svg"):
         raise GraphnavError(f"{path}: a picture's name ends in .png, .pdf or .svg")
     try:
-        check_makable(path)
+        check_file(path)
     except OSError as error:
         raise GraphnavError(f"{path}: cannot be written ({error.strerror or error})") from error

@@ -154,7 +154,11 @@ def log_of(folder: str | Path) -> str | None:
 def check_folder(folder: str | Path, *, overwrite: bool = False) -> Path:
     """The full path of a folder that a run may be written to; `GraphnavError` if it may not be replaced."""
     target = Path(folder).resolve()
-    if target.exists() and not target.is_dir():
+    try:
+        taken = target.exists()
+    except OSError as error:  # a name longer than names may be, a folder that may not be looked into
+        raise _unwritable(target, error) from error
+    if taken and not target.is_dir():
         raise GraphnavError(f"{folder}: is a file; give a folder")
     if (target / "log.toml").exists():
         raise GraphnavError(f"{folder}: is a log folder and is never replaced; give another folder")
