@@ -88,7 +88,7 @@ class Linker:
         return link if not self.evenly or self._even(link) else self._even_part(link)
 
     def _even_part(self, link: Link) -> Link:
-        """The longest part of a motion, by halves, that was even."""
+        """The longest part of a motion, by halves, that was even; all of it where no part gives a motion."""
         at, uneven = link.first, link.second
         best = self._reached(at, at + 1)
         while uneven - best.second > 1:
