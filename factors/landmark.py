@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from factors import so3
+from factors.increments import npt_int
 from factors.so3 import Array
 
 if TYPE_CHECKING:
@@ -76,21 +77,60 @@ def leg_residual(
     -------
     error (..., 2) m and rad; Jacobians with respect to pose (..., 2, 6), leg (..., 2, 4), calibration (..., 2, 8).
     """
-    to_s = so3.transpose(so3.exp(calibration[..., MOUNTING]) @ rotation_bs)
-    away_n, above = _cut(rotation_nb, pos_n, leg_n, height_m, off_plane_m, to_s, lever_arm_b)
-    away_b = np.einsum("...ji,...j->...i", rotation_nb, away_n)
-    away_s = np.einsum("...ij,...j->...i", to_s, away_b)
-    error, by_away, jac_calibration = _range_bearing(away_s, calibration, range_m, angle_rad)
-    # any change is followed along the line until the point lies in the scan plane again
-    line_n = np.concatenate([leg_n[..., 2:], np.ones((*leg_n.shape[:-1], 1))], axis=-1)
-    line_s = np.einsum("...ij,...j->...i", to_s, np.einsum("...ji,...j->...i", rotation_nb, line_n))
-    slid = by_away - (by_away @ line_s[..., None]) * np.array([0.0, 0.0, 1.0]) / line_s[..., 2, None, None]
-    by_b = slid @ to_s
-    jac_pose = np.concatenate([by_b @ so3.skew(away_b + lever_arm_b), -by_b], axis=-1)
-    by_place = (by_b @ so3.transpose(rotation_nb))[..., :2]
-    jac_leg = np.concatenate([by_place, by_place * above[..., None, None]], axis=-1)
-    jac_calibration[..., MOUNTING] = slid @ _by_mounting(calibration, rotation_bs, away_b)
-    return error, jac_pose, jac_leg, jac_calibration
+    reading = np.stack(np.broadcast_arrays(range_m, angle_rad, height_m, off_plane_m), axis=-1)
+    places = (rotation_nb.shape[:-2], pos_n.shape[:-1], leg_n.shape[:-1], calibration.shape[:-1], reading.shape[:-1])
+    shape = np.broadcast_shapes(*places)
+
+    def rows(values: Array, *size: int) -> Array:
+        return np.broadcast_to(values, shape + size).reshape(-1, *size)
+
+    found = leg_rows(
+        rows(rotation_nb, 3, 3), rows(pos_n, 3), rows(np.eye(3), 3, 3), rows(np.zeros(3), 3), rows(leg_n, 4),
+        rows(reading, 4), rows(np.zeros((3, 8)), 3, 8), np.arange(np.prod(shape, dtype=int)), rows(calibration, 8),
+        rotation_bs, lever_arm_b,
+    )  # fmt: skip
+    error, by_pose, by_leg, by_calibration = (part.reshape(shape + part.shape[1:]) for part in found)
+    return error, by_pose, by_leg, by_calibration
+
+
+def leg_rows(
+    pose_nb: Array,
+    pose_n: Array,
+    turn_b: Array,
+    shift_n: Array,
+    leg_n: Array,
+    reading: Array,
+    spread: Array,
+    which: npt_int,
+    calibration: Array,
+    rotation_bs: Array,
+    lever_arm_b: Array,
+) -> tuple[Array, Array, Array, Array]:
+    """`leg_residual` of K readings, each taken a known motion away from its pose.
+
+    Parameters
+    ----------
+    pose_nb, pose_n : (K, 3, 3) and (K, 3) pose; turn_b, shift_n : (K, 3, 3) and (K, 3) from it to that of the reading,
+        the turn in b, the shift in n.
+    leg_n : (K, 4); reading : (K, 4) range, angle, height and height above the plane.
+    spread : (K, 3, 8) added to the error, and taken from the height above the plane, per unit of the calibration.
+    which : (K,) row of calibration (C, 8).
+    rotation_bs, lever_arm_b : (3, 3) and (3,) declared mounting.
+
+    Returns
+    -------
+    error (K, 2) m and rad; Jacobians with respect to pose (K, 2, 6), leg (K, 2, 4), calibration (K, 2, 8).
+    """
+    from factors.leg_loops import cut_legs
+
+    delta = calibration[:, MOUNTING]
+    to_s, by_delta = so3.transpose(so3.exp(delta) @ rotation_bs), so3.right_jacobian(delta)
+    # other layouts would be compiled for anew
+    own = np.ascontiguousarray
+    return cut_legs(
+        own(pose_nb), own(pose_n), own(turn_b), own(shift_n), own(leg_n), own(reading), own(spread),
+        which, own(calibration), own(to_s), own(by_delta), own(rotation_bs), own(lever_arm_b),
+    )  # fmt: skip
 
 
 def point_residual(
@@ -133,26 +173,6 @@ def seen_leg(
     in_s = np.stack([-range_m * np.sin(angle_rad), range_m * np.cos(angle_rad), np.zeros_like(range_m)], axis=-1)
     in_b = in_s @ rotation_bs.T + lever_arm_b
     return np.asarray(pos_n + np.einsum("...ij,...j->...i", rotation_nb, in_b))
-
-
-def _cut(
-    rotation_nb: Array,
-    pos_n: Array,
-    leg_n: Array,
-    height_m: Array,
-    off_plane_m: Array | float,
-    to_s: Array,
-    lever_arm_b: Array,
-) -> tuple[Array, Array]:
-    """From the scanner to where its plane cuts the line, (..., 3) in n, and the cut's height above h0 (...,)."""
-    axis_n = np.einsum("...ij,...j->...i", rotation_nb, to_s[..., 2, :])
-    scanner_n = pos_n + np.einsum("...ij,j->...i", rotation_nb, lever_arm_b)
-    start, lean = leg_n[..., :2] - scanner_n[..., :2], leg_n[..., 2:]
-    rise = height_m - scanner_n[..., 2]
-    tilt = np.einsum("...i,...i->...", axis_n[..., :2], lean) + axis_n[..., 2]
-    level = np.einsum("...i,...i->...", axis_n[..., :2], start) + axis_n[..., 2] * rise
-    above = (off_plane_m - level) / tilt
-    return np.concatenate([start + lean * above[..., None], (rise + above)[..., None]], axis=-1), above
 
 
 def _range_bearing(away_s: Array, calibration: Array, range_m: Array, angle_rad: Array) -> tuple[Array, Array, Array]:

@@ -6,14 +6,14 @@ The residual of each is that of `factors.landmark.leg_residual`.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors import lookup, so3
+from factors import lookup
 from factors.increments import npt_int
-from factors.landmark import ANGLE_BIAS, MOUNTING, leg_residual
+from factors.landmark import ANGLE_BIAS, MOUNTING, leg_rows
 from factors.so3 import Array
 
 if TYPE_CHECKING:
@@ -71,39 +71,29 @@ class LegFamily:
     lever_arm_b: Array
     loss: float | None = None
 
-    @property
-    def _acts(self) -> Array:
-        """(7, 8) what the calibration's numbers are in those of `spread`."""
-        found = np.eye(7, 8)
-        found[[5, 6, ANGLE_BIAS], MOUNTING] = self.rotation_bs.T
-        return found
+    @cached_property
+    def _spread(self) -> Array:
+        """(K, 3, 8) `spread` by the calibration's own numbers."""
+        acts = np.eye(7, 8)
+        acts[[5, 6, ANGLE_BIAS], MOUNTING] = self.rotation_bs.T
+        return self.spread @ acts
+
+    @cached_property
+    def _reading(self) -> Array:
+        """(K, 4) range, angle, height and height above the plane."""
+        return np.column_stack([self.range_m, self.angle_rad, self.height_m, self.off_plane_m])
 
     def residuals(self, values: gtsam.Values, rows: slice = slice(None)) -> tuple[Array, Array, Array, Array]:
-        """`leg_residual` of some of the readings, whitened."""
-        pose, turn = lookup.poses(values, self.pose_key[rows]), self.turn_b[rows]
-        rotation, back = pose[:, :3, :3], so3.transpose(turn)
-        calibration, more = self._calibration(values, rows), self.spread[rows] @ self._acts
-        moved = (more @ calibration[..., None])[..., 0]
-        error, by_moved, by_leg, by_calibration = leg_residual(
-            rotation @ turn, pose[:, :3, 3] + self.shift_n[rows],
-            lookup.vectors(values, self.leg_key[rows]), calibration,
-            self.range_m[rows], self.angle_rad[rows], self.height_m[rows],
-            self.rotation_bs, self.lever_arm_b, self.off_plane_m[rows] - moved[:, 2],
+        """`leg_residual` of some of the readings, whitened, with Jacobians by pose, leg and calibration."""
+        pose = lookup.poses(values, self.pose_key[rows])
+        different, which = np.unique(self.calibration_key[rows], return_inverse=True)
+        error, by_pose, by_leg, by_calibration = leg_rows(
+            pose[:, :3, :3], pose[:, :3, 3], self.turn_b[rows], self.shift_n[rows],
+            lookup.vectors(values, self.leg_key[rows]), self._reading[rows], self._spread[rows],
+            which, lookup.vectors(values, different), self.rotation_bs, self.lever_arm_b,
         )  # fmt: skip
-        error += moved[:, :2]
-        # a plane that is cut higher is as a scanner that stands higher
-        axis_b = so3.exp(calibration[:, MOUNTING]) @ self.rotation_bs[:, 2]
-        by_off = (by_moved[..., 3:] @ axis_b[..., None])[..., 0]
-        by_calibration += more[:, :2] - by_off[..., None] * more[:, 2:]
-        by_turn, by_shift = by_moved[..., :3] @ back, by_moved[..., 3:] @ back
-        by_pose = np.concatenate([by_turn, by_shift], axis=-1)
         sigma = self.sigma[rows]
         return error / sigma, by_pose / sigma[..., None], by_leg / sigma[..., None], by_calibration / sigma[..., None]
-
-    def _calibration(self, values: gtsam.Values, rows: slice) -> Array:
-        """(K, 8) of each reading, or (1, 8) where all have the same: what is made of it is then made once."""
-        keys = self.calibration_key[rows]
-        return lookup.vectors(values, keys[:1] if (keys == keys[:1]).all() else keys)
 
     def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values, block: int = 4096) -> None:
         """Append the whitened Jacobian factors at `values`."""
