@@ -1,4 +1,4 @@
-"""Covariance of one clique from that of its parent, compiled: tens of thousands of matrices of ten to a hundred rows.
+"""Arithmetic of single cliques, compiled: tens of thousands of matrices of ten to a hundred rows.
 
 In arrays of NumPy each product, selection and transposition costs as much as its arithmetic.
 """
@@ -42,3 +42,28 @@ def squared_blocks(inverse: Array, s: Array, parent: Array, rows: npt_int, condi
             cov[front + a, i] = cross[i, a]
         cov[front + a, front:] = separator[a]
     return cov, good
+
+
+@compiled
+def add_squares(columns: Array, which: npt_int, start: npt_int, diagonal: Array, pivot: Array) -> int:
+    """Add squares of a clique's columns to the diagonal of the information, note its pivots; number of its frontals.
+
+    Parameters
+    ----------
+    columns : (n + 1, m) columns of ``[R S d]``, m those of R.
+    which : number of each of its variables; start : where variable k begins in `diagonal` and `pivot`, and ends.
+    """
+    count, rows = len(which), columns.shape[1]
+    column, frontals = 0, 0
+    for k in range(count):
+        for at in range(start[which[k]], start[which[k] + 1]):
+            total = 0.0
+            for row in range(rows):
+                total += columns[column, row] ** 2
+            diagonal[at] += total
+            if column < rows:
+                pivot[at] = columns[column, column]
+            column += 1
+        if column <= rows:
+            frontals = k + 1
+    return frontals

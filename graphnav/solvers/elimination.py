@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors.increments import npt_int
 from graphnav.errors import SolveError
 
 if TYPE_CHECKING:
@@ -17,6 +16,8 @@ if TYPE_CHECKING:
 _SOUND = 1e11
 #: Diagonal entries of R this much smaller than their clique's largest are round-off.
 _RANK = 1e-12
+#: Step in which factors are looked through for what ties variables together.
+_STRIDE = 7
 
 
 def elimination(
@@ -103,16 +104,19 @@ def ordering_of(linear: gtsam.GaussianFactorGraph, first: list[int] | None) -> g
 
 
 def _alone(linear: gtsam.GaussianFactorGraph) -> list[int]:
-    """Variables that share no factor with another: METIS does not survive them."""
-    tied: set[int] = set()
-    keys: set[int] = set()
-    for k in range(linear.size()):
+    """Variables that share no factor with another: METIS does not survive them.
+
+    Most variables have many factors, one after the other: looked through in strides, nearly all turn out tied early.
+    """
+    keys = set(linear.keyVector())
+    for k in (k for start in range(_STRIDE) for k in range(start, linear.size(), _STRIDE)):
         factor = linear.at(k)
         found = factor.keys() if factor is not None else []
-        keys.update(found)
         if len(found) > 1:
-            tied.update(found)
-    return sorted(keys - tied)
+            keys.difference_update(found)
+            if not keys:
+                break
+    return sorted(keys)
 
 
 def sound(tree: gtsam.GaussianBayesTree, order: list[int], delta: gtsam.VectorValues) -> bool:
@@ -121,29 +125,20 @@ def sound(tree: gtsam.GaussianBayesTree, order: list[int], delta: gtsam.VectorVa
     If so, nothing is undetermined: round-off is smaller than that by far. With ``R'R`` the information, its diagonal is
     the sum of squares of each column of R, over all cliques.
     """
-    keys: list[int] = []
-    squares, pivots = [], []
-    for key in order:
-        conditional = tree[key].conditional()
-        if conditional.firstFrontalKey() == key:
-            rows = conditional.augmentedJacobian()[:, :-1]
-            keys += conditional.keys()
-            squares.append(np.einsum("ij,ij->j", rows, rows))
-            pivots.append(rows.diagonal())
-    size = np.array([len(delta.at(key)) for key in order])
+    from graphnav.solvers.clique_blocks import add_squares
+
+    start = np.cumsum([0, *(len(delta.at(key)) for key in order)])
     place = {key: index for index, key in enumerate(order)}
-    which = np.fromiter(map(place.__getitem__, keys), int, len(keys))
-    column = _runs((np.cumsum(size) - size)[which], size[which])
-    diagonal = np.bincount(column, np.concatenate(squares))
-    width = np.array([*map(len, squares)])
-    frontal = _runs(np.cumsum(width) - width, np.array([*map(len, pivots)]))
-    return bool((diagonal[column[frontal]] <= _SOUND * np.square(np.concatenate(pivots))).all())
-
-
-def _runs(first: npt_int, length: npt_int) -> npt_int:
-    """``first[k], first[k] + 1, ...``, ``length[k]`` of them, for every k in turn."""
-    ends = np.cumsum(length)
-    return np.asarray(np.repeat(first - ends + length, length) + np.arange(ends[-1]))
+    diagonal, pivot = np.zeros(start[-1]), np.zeros(start[-1])
+    done: set[int] = set()
+    for key in order:
+        if key not in done:
+            conditional = tree[key].conditional()
+            keys = conditional.keys()
+            which = np.array([*map(place.__getitem__, keys)])
+            frontals = add_squares(conditional.augmentedJacobian().T, which, start, diagonal, pivot)
+            done.update(keys[:frontals])
+    return bool((diagonal <= _SOUND * np.square(pivot)).all())
 
 
 def check_determined(tree: gtsam.GaussianBayesTree, order: list[int]) -> None:
