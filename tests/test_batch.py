@@ -20,6 +20,7 @@ from graphnav.graph import SmoothingGraph
 from graphnav.keyframes import run_frontend
 from graphnav.problem import V, X
 from graphnav.solvers import batch, elimination
+from graphnav.solvers.clique_blocks import add_squares
 
 UNIT = gtsam.noiseModel.Unit.Create
 
@@ -269,6 +270,28 @@ def test_sound_pivots_are_those_of_a_well_conditioned_problem() -> None:
     linear = strong.linearize(start)
     tree = linear.eliminateMultifrontal(ordering)
     assert not elimination.sound(tree, order, tree.optimize())
+
+
+def test_squares_of_cliques_add_up_to_the_diagonal_of_the_information() -> None:
+    graph, start = marks(20)
+    linear = graph.linearize(start)
+    ordering = elimination.ordering_of(linear, [])
+    tree = linear.eliminateMultifrontal(ordering)
+    order = [ordering.at(k) for k in range(ordering.size())]
+    begin = np.arange(len(order) + 1) * 3
+    diagonal, pivot = np.zeros(begin[-1]), np.zeros(begin[-1])
+    done: set[int] = set()
+    for key in order:
+        if key not in done:
+            conditional = tree[key].conditional()
+            which = np.array([order.index(k) for k in conditional.keys()])
+            columns = conditional.augmentedJacobian().T
+            frontals = add_squares(columns, which, begin, diagonal, pivot)
+            assert 3 * frontals == len(conditional.R())
+            done.update(conditional.keys()[:frontals])
+    information, _ = linear.hessian(ordering)
+    np.testing.assert_allclose(diagonal, information.diagonal(), rtol=1e-12)
+    assert 2 * np.log(pivot).sum() == pytest.approx(np.linalg.slogdet(information)[1], rel=1e-10)
 
 
 class Shrinking:
