@@ -109,23 +109,96 @@ def composed(
 
 
 @compiled
+def _turn(phi: Vector, out: Array) -> None:
+    """Rotation matrix (3, 3) of a rotation vector (Rodrigues), as `factors.so3.exp`."""
+    x, y, z = phi
+    square = x * x + y * y + z * z
+    angle = math.sqrt(square)
+    s, c = 1 - square / 6, 0.5 - square / 24
+    if square >= 1e-6:
+        s, c = math.sin(angle) / angle, 2 * math.sin(angle / 2) ** 2 / square
+    out[0, 0], out[0, 1], out[0, 2] = 1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
+    out[1, 0], out[1, 1], out[1, 2] = c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x
+    out[2, 0], out[2, 1], out[2, 2] = c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y)
+
+
+@compiled
+def _product(a: Array, b: Array, out: Array) -> None:
+    """``out = A B`` of 3 x 3."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@compiled
+def _image(matrix: Array, table: Array, row: int) -> Vector:
+    """A row of a table turned by a matrix."""
+    x, y, z = table[row, 0], table[row, 1], table[row, 2]
+    return (
+        matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] * z,
+        matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z,
+        matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] * z,
+    )
+
+
+@compiled
 def cumulated(
-    first: Ints, dt_s: Array, turn: Array, velocity_b: Array, position_b: Array
+    first: Ints, dt_s: Array, rotation_b: Array, velocity_b: Array, position_b: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Time, rotation, velocity and position since the start of each interval, after each of its minor ones."""
     count = len(dt_s)
     elapsed, rotation = np.empty(count), np.empty((count, 3, 3))
     velocity, position = np.empty((count, 3)), np.empty((count, 3))
+    turn = np.empty((3, 3))
     for interval in range(len(first) - 1):
-        t, r, v, p = 0.0, np.eye(3), np.zeros(3), np.zeros(3)
+        t, r, v, p = 0.0, np.eye(3), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for m in range(first[interval], first[interval + 1]):
             t += dt_s[m]
-            for i in range(3):
-                p[i] += v[i] * dt_s[m]
-                for j in range(3):
-                    p[i] += r[i, j] * position_b[m, j]
-                    v[i] += r[i, j] * velocity_b[m, j]
-                    rotation[m, i, j] = r[i, 0] * turn[m, 0, j] + r[i, 1] * turn[m, 1, j] + r[i, 2] * turn[m, 2, j]
-            r[:] = rotation[m]
+            p = _sum(_sum(p, v, dt_s[m]), _image(r, position_b, m), 1.0)
+            v = _sum(v, _image(r, velocity_b, m), 1.0)
+            _turn(_at(rotation_b, m), turn)
+            _product(r, turn, rotation[m])
+            r = rotation[m]
             elapsed[m], velocity[m], position[m] = t, v, p
     return elapsed, rotation, velocity, position
+
+
+@compiled
+def predicted(
+    rotation_nb: Array,
+    pos_n: Array,
+    vel_n: Array,
+    motion: tuple[Array, Array, Array, Array],
+    index: Ints,
+    gravity_m_s2: float,
+    earth_rate_n: Array,
+) -> tuple[Array, Array, Array]:
+    """States after motions, see `factors.inertial.predict`; `motion` is what `cumulated` gave."""
+    elapsed, turned, velocity_b, position_b = motion
+    count = len(index)
+    rotation, pos, vel = np.empty((count, 3, 3)), np.empty((count, 3)), np.empty((count, 3))
+    earth, gravity = (earth_rate_n[0], earth_rate_n[1], earth_rate_n[2]), (0.0, 0.0, -gravity_m_s2)
+    turn, half = np.empty((3, 3)), np.empty((3, 3))
+    for k in range(count):
+        m = index[k]
+        t, v, p = elapsed[m], _at(vel_n, k), _at(pos_n, k)
+        force_v, force_p = _image(rotation_nb[k], velocity_b, m), _image(rotation_nb[k], position_b, m)
+        free = _sum(_sum(force_p, v, t), gravity, t**2 / 2)
+        drag_v = _cross(earth, _sum(_sum(force_p, force_v, -t), free, -2.0))
+        drag_p = _cross(earth, _sum(_sum(_sum((0.0, 0.0, 0.0), force_p, t), v, t**2), gravity, t**3 / 3))
+        vel[k] = _sum(_sum(_sum(v, gravity, t), force_v, 1.0), drag_v, 1.0)
+        pos[k] = _sum(_sum(p, free, 1.0), drag_p, -1.0)
+        _turn((-earth[0] * t, -earth[1] * t, -earth[2] * t), turn)
+        _product(turn, rotation_nb[k], half)
+        _product(half, turned[m], rotation[k])
+    return rotation, pos, vel
+
+
+@compiled
+def turned_further(rotation: Array, phi: Array) -> Array:
+    """Rotation matrices (K, 3, 3) turned by rotation vectors (K, 3) in their own frames."""
+    found, turn = np.empty(rotation.shape), np.empty((3, 3))
+    for k in range(len(phi)):
+        _turn(_at(phi, k), turn)
+        _product(rotation[k], turn, found[k])
+    return found

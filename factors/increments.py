@@ -71,10 +71,15 @@ def slopes(samples: Samples) -> tuple[Array, Array]:
     middle = (samples.edge_s[1:] + samples.edge_s[:-1]) / 2
     if len(middle) < 2:
         return np.zeros_like(samples.gyro_b), np.zeros_like(samples.accel_b)
-    lo = np.maximum(np.arange(len(middle)) - 1, 0)
-    hi = np.minimum(np.arange(len(middle)) + 1, len(middle) - 1)
-    span = (middle[hi] - middle[lo])[:, None]
-    return (samples.gyro_b[hi] - samples.gyro_b[lo]) / span, (samples.accel_b[hi] - samples.accel_b[lo]) / span
+    return _slope(samples.gyro_b, middle), _slope(samples.accel_b, middle)
+
+
+def _slope(values: Array, t_s: Array) -> Array:
+    found = np.empty(values.shape)
+    found[1:-1] = (values[2:] - values[:-2]) / (t_s[2:] - t_s[:-2])[:, None]
+    found[0] = (values[1] - values[0]) / (t_s[1] - t_s[0])
+    found[-1] = (values[-1] - values[-2]) / (t_s[-1] - t_s[-2])
+    return found
 
 
 def compensated_increments(

@@ -200,8 +200,8 @@ def cumulate(increments: Increments) -> Motion:
     """Compose minor increments within every interval."""
     from factors.composition import cumulated
 
-    turn = so3.exp(increments.rotation_b)
-    parts = cumulated(increments.first, increments.dt_s, turn, increments.velocity_b, increments.position_b)
+    rows = increments
+    parts = cumulated(rows.first, rows.dt_s, rows.rotation_b, rows.velocity_b, rows.position_b)
     return Motion(increments.first, *parts)
 
 
@@ -220,15 +220,18 @@ def predict(
     force in the axes of n at the start, ``v = v_0 + g t + int a - Omega x int s a - 2 Omega x (p - p_0)`` and its
     integral.
     """
-    t = motion.elapsed_s[index][:, None]
-    gravity = np.array([0.0, 0.0, -gravity_m_s2])
-    force_v = np.einsum("kij,kj->ki", rotation_nb, motion.velocity_b[index])
-    force_p = np.einsum("kij,kj->ki", rotation_nb, motion.position_b[index])
-    free = vel_n * t + gravity * t**2 / 2 + force_p
-    velocity = vel_n + gravity * t + force_v - np.cross(earth_rate_n, t * force_v - force_p + 2 * free)
-    position = pos_n + free - np.cross(earth_rate_n, t * force_p + vel_n * t**2 + gravity * t**3 / 3)
-    rotation = so3.exp(-earth_rate_n * t) @ rotation_nb @ motion.rotation[index]
-    return rotation, position, velocity
+    from factors.composition import predicted
+
+    count = len(index)
+    rotation = _rows(rotation_nb, (count, 3, 3))
+    pos, vel, earth = _rows(pos_n, (count, 3)), _rows(vel_n, (count, 3)), _rows(earth_rate_n, (3,))
+    moved = (motion.elapsed_s, motion.rotation, motion.velocity_b, motion.position_b)
+    return predicted(rotation, pos, vel, moved, index, gravity_m_s2, earth)
+
+
+def _rows(values: Array, shape: tuple[int, ...]) -> Array:
+    """Values in the one layout that compiled loops are made for, which do not look at bounds."""
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), shape))
 
 
 def bias_walk_factor(key_1: int, key_2: int, accel_sigma: float, gyro_sigma: float) -> gtsam.NonlinearFactor:

@@ -5,16 +5,15 @@ A group is all detections of one leg in one window of a few seconds, see `graphn
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from factors.increments import npt_int
 from factors.inertial import M_S2_PER_MG
-from factors.so3 import Array, from_quaternion
+from factors.so3 import Array
 from graphnav.config import LidarConfig
-from graphnav.log import Lidar, SensorLog
+from graphnav.log import SensorLog
 
 npt_bool = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
@@ -28,17 +27,16 @@ _TOGETHER_M = 2e-3
 
 @dataclass(frozen=True)
 class Groups:
-    """Rows of a table in groups: `order` sorts them by group, group g starts at `start[g]` of it.
+    """Rows of a table in groups: `order` sorts them by group, group g is ``bound[g]:bound[g + 1]`` of it.
 
     Attributes
     ----------
     order : (M,), or None where the rows stand in that order already, which spares looking them up.
-    number : (G,) ascending, what the rows of each group have in common; count : (G,) rows in each.
+    number : (G,) ascending, what the rows of each group have in common.
     """
 
     order: npt_int | None
-    start: npt_int
-    count: npt_int
+    bound: npt_int
     number: npt_int
 
     @classmethod
@@ -49,12 +47,17 @@ class Groups:
             order = np.argsort(number, kind="stable")
             number = number[order]
         start = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
-        return cls(order, start, np.diff(start, append=len(number)), number[start])
+        return cls(order, np.append(start, len(number)), number[start])
+
+    @property
+    def count(self) -> npt_int:
+        """(G,) rows in each."""
+        return np.diff(self.bound)
 
     @property
     def of_row(self) -> npt_int:
         """(M,) group of every row."""
-        group = np.repeat(np.arange(len(self.count)), self.count)
+        group = np.repeat(np.arange(len(self.number)), self.count)
         if self.order is None:
             return group
         found = np.empty(len(group), np.int64)
@@ -64,34 +67,21 @@ class Groups:
     def median(self, values: Array) -> Array:
         """Median of every group, (G,); of an even number of rows the upper one of the middle two."""
         group = self.of_row
-        return np.asarray(values[np.lexsort((values, group))][self.start + self.count // 2])
+        return np.asarray(values[np.lexsort((values, group))][self.bound[:-1] + self.count // 2])
 
     def mean(self, values: Array) -> Array:
-        """Mean of every group, (..., G), of values (..., M): components first, since long rows are summed fastest."""
-        ordered = values if self.order is None else values[..., self.order]
-        return np.asarray(np.add.reduceat(ordered, self.start, axis=-1) / self.count)
+        """Mean of every group, (G,), of values (M,)."""
+        ordered = values if self.order is None else values[self.order]
+        return np.asarray(np.add.reduceat(ordered, self.bound[:-1]) / self.count)
+
+    def scatter(self, place: Array) -> Array:
+        """Mean square (G,) of the level distance of each group's places (M, 3) from their mean."""
+        from graphnav.leg_sums import scatter
+
+        return scatter(self.bound, place if self.order is None else place[self.order])
 
 
-def on_the_ground(
-    rotation_nb: Array, pos_n: Array, row: npt_int, range_m: Array, angle_rad: Array, lidar: Lidar
-) -> tuple[Array, Array]:
-    """Place (3, M) of every detection in n, and in n the three directions in which the scanner's errors act.
-
-    Along the ray, in the scan plane to its left, and up from the plane: (3, 3, M), the direction first.
-
-    Parameters
-    ----------
-    rotation_nb, pos_n : (T, 3, 3) and (T, 3) poses; row, range_m, angle_rad : (M,) that of each detection.
-    """
-    axes = (rotation_nb @ from_quaternion(lidar.T_bs_quat_wxyz)).transpose(2, 1, 0)
-    scanner = (pos_n + rotation_nb @ lidar.T_bs_pos_m).T
-    right, forward, up = (np.take(axis, row, axis=1) for axis in np.ascontiguousarray(axes))
-    sin, cos = np.sin(angle_rad), np.cos(angle_rad)
-    directions = np.stack([cos * forward - sin * right, -cos * right - sin * forward, up])
-    return np.take(np.ascontiguousarray(scanner), row, axis=1) + range_m * directions[0], directions
-
-
-def apart(groups: Groups, place: Array, sigma_m: Array) -> npt_bool:
+def apart(groups: Groups, place: Array, variance_m2: Array) -> npt_bool:
     """Detections (M,) that lie elsewhere than the others of their group: false circles, wrong numbers.
 
     A few metres of error in one of a hundred would move their mean by centimetres. So where a group scatters more than
@@ -100,19 +90,18 @@ def apart(groups: Groups, place: Array, sigma_m: Array) -> npt_bool:
 
     Parameters
     ----------
-    place : (3, M); sigma_m : (M,) declared noise of a detection's place, each axis.
+    place : (M, 3); variance_m2 : (M,) declared noise of a detection's place, each axis.
     """
-    level, of_row = place[:2], groups.of_row
-    off = np.square(level - groups.mean(level)[:, of_row]).sum(axis=0)
-    scattered = groups.mean(off) > 4 * 2 * groups.mean(sigma_m**2)
-    rows = np.flatnonzero(scattered[of_row])
-    wrong = np.zeros(len(of_row), bool)
-    if len(rows):
-        some, level = Groups.of(of_row[rows]), level[:, rows]
+    scattered = groups.scatter(place) > 4 * 2 * groups.mean(variance_m2)
+    wrong = np.zeros(len(place), bool)
+    if scattered.any():
+        of_row = groups.of_row
+        rows = np.flatnonzero(scattered[of_row])
+        some, level = Groups.of(of_row[rows]), place[rows, :2].T
         centre = np.array([some.median(level[0]), some.median(level[1])])
         distance = np.hypot(*(level - centre[:, some.of_row]))
         # of a level normal error the median distance is 1.18 sigma
-        usual = np.maximum(some.median(distance) / 1.18, np.sqrt(some.mean(sigma_m[rows] ** 2)))
+        usual = np.maximum(some.median(distance) / 1.18, np.sqrt(some.mean(variance_m2[rows])))
         wrong[rows] = distance > _APART * usual[some.of_row]
     return wrong
 
@@ -152,7 +141,7 @@ def stepped(before_n: Array, after_n: Array, before_sigma_m: Array | float, afte
     return np.asarray(step > _STEP_M + 5 * np.hypot(after_sigma_m, before_sigma_m))
 
 
-def spread(groups: Groups, directions: Array, range_m: Array, angle_rad: Array, frame: Array, mean: Array) -> Array:
+def spread(moves: Array, frame: Array, mean: Array) -> Array:
     """What averaging makes of the scanner's errors, beyond their effect at the mean: (G, 3, 7) m, rad and m.
 
     A detection is displaced by ``(rho dK + db) u - r (a3 + (a2 - 1) t + a1 t^2) w`` with u the ray and w to its left
@@ -163,16 +152,15 @@ def spread(groups: Groups, directions: Array, range_m: Array, angle_rad: Array, 
 
     Parameters
     ----------
-    directions : (3, 3, M) u, w and n of each detection; range_m, angle_rad : (M,).
-    frame : (G, 3, 3) those of the mean reading; mean : (G, 3) its range, angle and height above its plane.
+    moves : (G, 7, 3) mean displacement in n by one unit of each error, from `graphnav.leg_sums.on_the_ground`.
+    frame : (G, 3, 3) u, w and n of the mean reading; mean : (G, 3) its range, angle and height above its plane.
 
     Returns
     -------
     By the calibration's first five numbers, and by turns about the scanner's right and forward axes; a turn about its
     normal is as a bias of the angle.
     """
-    moves = np.stack([groups.mean(each) for each in _moves(directions, range_m, angle_rad)])
-    found: Array = np.einsum("gji,cjg->gic", frame, moves)
+    found: Array = np.einsum("gji,gcj->gic", frame, moves)
     rho, theta, off = mean.T
     by_u, by_w = np.array([-np.sin(theta), np.cos(theta)]).T, np.array([-np.cos(theta), -np.sin(theta)]).T
     found[:, 0] -= np.column_stack([rho, np.ones_like(rho), *np.zeros((3, len(rho))), -off[:, None] * by_w])
@@ -181,18 +169,6 @@ def spread(groups: Groups, directions: Array, range_m: Array, angle_rad: Array, 
     found[:, 2, 5:] -= rho[:, None] * by_w
     found[:, 1] /= rho[:, None]
     return found
-
-
-def _moves(directions: Array, range_m: Array, angle_rad: Array) -> Iterator[Array]:
-    """What each of the seven errors of `spread` makes of detections, (3, M) in n; one by one, for the cache."""
-    u, w, n = directions
-    yield range_m * u
-    yield u
-    yield (move := -range_m * w)
-    yield (move := move * angle_rad)
-    yield move * angle_rad
-    yield -range_m * np.cos(angle_rad) * n
-    yield -range_m * np.sin(angle_rad) * n
 
 
 def together(

@@ -21,7 +21,7 @@ from factors.increments import npt_int
 from factors.legs import LegFamily
 from factors.so3 import Array, from_quaternion, to_quaternion
 from graphnav.config import Config
-from graphnav.leg_means import Groups, apart, npt_bool, on_the_ground, split, spread, together
+from graphnav.leg_means import Groups, apart, npt_bool, split, spread, together
 from graphnav.log import Lidar, SensorLog
 from graphnav.problem import D, L, Problem, V, X
 from graphnav.trajectory import ImuBridge, Trajectory
@@ -211,34 +211,36 @@ def _of_block(
 
     Rows that lie apart from the others of their group are left out.
     """
+    from graphnav.leg_sums import on_the_ground, rows_of
+
     lidar, points = log.lidar, log.lidar_points
     assert lidar is not None and points is not None
-    number = keyframe * len(names) + np.searchsorted(names, points.feature[rows])
+    number = keyframe * len(names) + rows_of(names, points.feature[rows])
     order = np.argsort(number, kind="stable")
     groups = Groups.of(number[order])
     scan_s, scan = _scans(points.t_s[rows])
-    t_s, ranges, angles = points.t_s[rows][order], points.range_m[rows[order]], points.angle_rad[rows[order]]
+    t_s, ranges, angles = points.t_s[rows][order], points.range_m[rows][order], points.angle_rad[rows][order]
     window, which = groups.number // len(names), groups.number % len(names)
     mean_s = way.t_s[window] + groups.mean(t_s - way.t_s[keyframe[order]])
     at = _nearest(way.t_s, mean_s) if nearest else window
-    path = way.at(np.union1d(scan_s, mean_s))
-    turned = path.rotation_nb
-    row = np.searchsorted(path.t_s, scan_s)[scan[order]]
-    place, directions = on_the_ground(turned, path.pos_n, row, ranges, angles, lidar)
-    wrong = apart(groups, place, np.hypot(lidar.range_sigma_m, ranges * np.radians(lidar.angle_sigma_deg)))
+    path_s = np.union1d(scan_s, mean_s)
+    turned, path_n = way.poses_at(path_s)
+    frames, scanner = turned @ from_quaternion(lidar.T_bs_quat_wxyz), path_n + turned @ lidar.T_bs_pos_m
+    means, place = on_the_ground(
+        groups.bound, np.searchsorted(path_s, scan_s)[scan[order]], ranges, angles, frames, scanner
+    )
+    wrong = apart(groups, place, lidar.range_sigma_m**2 + np.square(ranges * np.radians(lidar.angle_sigma_deg)))
     if wrong.any():
         kept = np.sort(order[~wrong])
         return _of_block(log, config, way, rows[kept], keyframe[kept], names, velocity_m2_s2, nearest)
-    mean, row = groups.mean(place).T, np.searchsorted(path.t_s, mean_s)
-    rotation, pos = turned[row], path.pos_n[row]
-    rotation_bs, to_b = from_quaternion(lidar.T_bs_quat_wxyz), so3.transpose(from_quaternion(way.quat_nb[at]))
-    away_n = mean - pos - rotation @ lidar.T_bs_pos_m
-    x, y, off = (np.einsum("kji,kj->ki", rotation, away_n) @ rotation_bs).T
+    mean, row = means[:, 0], np.searchsorted(path_s, mean_s)
+    rotation, pos, frame = turned[row], path_n[row], frames[row]
+    to_b = so3.transpose(from_quaternion(way.quat_nb[at]))
+    x, y, off = np.einsum("kji,kj->ik", frame, mean - scanner[row])
     range_m, angle_rad = np.hypot(x, y), np.arctan2(-x, y)
     u_s = np.column_stack([x / range_m, y / range_m])
-    frame = rotation @ rotation_bs
     frame[..., :2] = frame[..., :2] @ np.stack([u_s, u_s[:, ::-1] * [-1, 1]], axis=-1)
-    averaged = spread(groups, directions, ranges, angles, frame, np.column_stack([range_m, angle_rad, off]))
+    averaged = spread(means[:, 1:], frame, np.column_stack([range_m, angle_rad, off]))
     own = np.array([lidar.range_sigma_m, np.radians(lidar.angle_sigma_deg)]) / np.sqrt(groups.count)[:, None]
     carried = together(
         log, config.lidar, groups, t_s - mean_s[groups.of_row], mean_s - way.t_s[at], window, range_m, velocity_m2_s2

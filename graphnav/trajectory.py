@@ -13,6 +13,8 @@ from factors.relative_pose import Chain, relative
 from factors.so3 import Array
 from graphnav.errors import GraphnavError
 
+Rows = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
+
 _MINOR_S = 0.05
 #: Keyframe intervals propagated at a time: bounds the memory that `at` takes.
 _BLOCK = 500
@@ -96,8 +98,21 @@ class Trajectory:
 
         Raises
         ------
-        GraphnavError : a time outside the span.
+        GraphnavError : a time outside the span, or times that do not ascend.
         """
+        wanted, times, rows = self._asked(t_s)
+        rotation, pos, vel = self._states(times)
+        quat, cov = so3.to_quaternion(rotation), self._covariance(times)
+        return Trajectory(wanted, pos[rows], quat[rows], vel[rows], None if cov is None else cov[rows])
+
+    def poses_at(self, t_s: Array | float) -> tuple[Array, Array]:
+        """Rotations R_nb (K, 3, 3) and positions (K, 3) m as of `at`, which this is the greater part of."""
+        _, times, rows = self._asked(t_s)
+        rotation, pos, _ = self._states(times)
+        return rotation[rows], pos[rows]
+
+    def _asked(self, t_s: Array | float) -> tuple[Array, Array, Rows]:
+        """The times as asked for, the different ones of them within the span, and which of these each is."""
         wanted = np.atleast_1d(np.asarray(t_s, float))
         tolerance = 1e-6
         outside = ~((wanted >= self.t_s[0] - tolerance) & (wanted <= self.t_s[-1] + tolerance))
@@ -105,35 +120,37 @@ class Trajectory:
             raise GraphnavError(
                 f"time {wanted[outside][0]:.6f} s is outside the trajectory's {self.t_s[0]:.6f} .. {self.t_s[-1]:.6f} s"
             )
-        times, inverse = np.unique(np.clip(wanted, self.t_s[0], self.t_s[-1]), return_inverse=True)
-        if len(self) == 1 or not len(wanted):
-            return self._take(np.zeros(len(wanted), int), wanted)
+        if not (np.diff(wanted) > 0).all():
+            raise GraphnavError("times must ascend, each once")
+        inside = np.clip(wanted, self.t_s[0], self.t_s[-1])
+        new = np.diff(inside, prepend=-np.inf) > 0
+        return wanted, inside[new], np.cumsum(new) - 1
+
+    def _states(self, times: Array) -> tuple[Array, Array, Array]:
+        """Rotations R_nb, positions and velocities at ascending times."""
+        if len(self) == 1 or not len(times):
+            rows = np.zeros(len(times), np.int64)
+            return self.rotation_nb[rows], self.pos_n[rows], self.vel_n[rows]
         if self.bridge is None:
-            return self._interpolated(times)._take(inverse, wanted)
+            return self._interpolated(times)
         if isinstance(self.bridge, Chain):
-            return self._along(self.bridge, times)._take(inverse, wanted)
+            return self._along(self.bridge, times)
         block = self._interval(times) // _BLOCK
         parts = [self._propagated(part) for part in np.split(times, np.flatnonzero(np.diff(block)) + 1)]
-        return _joined(parts)._take(inverse, wanted)
+        rotation, pos, vel = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return rotation, pos, vel
 
-    def _take(self, rows: np.ndarray[tuple[int, ...], np.dtype[np.int64]], t_s: Array) -> Trajectory:
-        sorted_enough = len(t_s) < 2 or bool((np.diff(t_s) > 0).all())
-        if not sorted_enough:
-            raise GraphnavError("times must ascend, each once")
-        cov = None if self.cov is None else self.cov[rows]
-        return Trajectory(t_s, self.pos_n[rows], self.quat_nb[rows], self.vel_n[rows], cov)
-
-    def _interval(self, times: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    def _interval(self, times: Array) -> Rows:
         return np.clip(np.searchsorted(self.t_s, times, side="right") - 1, 0, len(self) - 2)
 
     def _covariance(self, times: Array) -> Array | None:
-        if self.cov is None:
-            return None
+        if self.cov is None or len(self) == 1:
+            return None if self.cov is None else self.cov[np.zeros(len(times), np.int64)]
         k = self._interval(times)
         u = ((times - self.t_s[k]) / (self.t_s[k + 1] - self.t_s[k]))[:, None, None]
         return (1 - u) * self.cov[k] + u * self.cov[k + 1]
 
-    def _interpolated(self, times: Array) -> Trajectory:
+    def _interpolated(self, times: Array) -> tuple[Array, Array, Array]:
         k = self._interval(times)
         span = (self.t_s[k + 1] - self.t_s[k])[:, None]
         u = (times - self.t_s[k])[:, None] / span
@@ -141,11 +158,10 @@ class Trajectory:
         pos, vel = _hermite(u, span, straight - span * self.vel_n[k], self.vel_n[k + 1] - self.vel_n[k])
         rotation = self.rotation_nb
         turn = so3.log(so3.transpose(rotation[k]) @ rotation[k + 1])
-        quat = so3.to_quaternion(rotation[k] @ so3.exp(u * turn))
         pos = self.pos_n[k] + self.vel_n[k] * u * span + pos
-        return Trajectory(times, pos, quat, self.vel_n[k] + vel, self._covariance(times))
+        return rotation[k] @ so3.exp(u * turn), pos, self.vel_n[k] + vel
 
-    def _along(self, chain: Chain, times: Array) -> Trajectory:
+    def _along(self, chain: Chain, times: Array) -> tuple[Array, Array, Array]:
         k, rotation = self._interval(times), self.rotation_nb
         turned, moved = chain.at(self.t_s)
         to_time = relative(turned[k], moved[k], *chain.at(times))
@@ -154,10 +170,11 @@ class Trajectory:
         left_turn = so3.log(so3.transpose(rotation[k] @ whole[0]) @ rotation[k + 1])
         left_pos = self.pos_n[k + 1] - self.pos_n[k] - (rotation[k] @ whole[1][..., None])[..., 0]
         pos = self.pos_n[k] + (rotation[k] @ to_time[1][..., None])[..., 0] + u * left_pos
-        quat = so3.to_quaternion(rotation[k] @ to_time[0] @ so3.exp(u * left_turn))
-        return Trajectory(times, pos, quat, self.vel_n[k], self._covariance(times))
+        return rotation[k] @ to_time[0] @ so3.exp(u * left_turn), pos, self.vel_n[k]
 
-    def _propagated(self, times: Array) -> Trajectory:
+    def _propagated(self, times: Array) -> tuple[Array, Array, Array]:
+        from factors.composition import turned_further
+
         assert isinstance(self.bridge, ImuBridge)
         bridge = self.bridge
         k = self._interval(times)
@@ -176,10 +193,7 @@ class Trajectory:
         motion = cumulate(replace(fine, first=at_keyframe))
         rotation_nb = so3.from_quaternion(self.quat_nb[lo : hi + 1])
 
-        def carried(
-            rows: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
-            minor: np.ndarray[tuple[int, ...], np.dtype[np.int64]],
-        ) -> tuple[Array, Array, Array]:
+        def carried(rows: Rows, minor: Rows) -> tuple[Array, Array, Array]:
             return predict(
                 rotation_nb[rows],
                 self.pos_n[lo + rows],
@@ -201,24 +215,15 @@ class Trajectory:
         span = np.diff(keyframes)[rows][:, None]
         u = (times - keyframes[rows])[:, None] / span
         pos_fix, vel_fix = _hermite(u, span, left_pos[rows], left_vel[rows])
-        rotation = rotation @ so3.exp(u * left_turn[rows])
+        rotation = turned_further(rotation, u * left_turn[rows])
         rotation[at_start] = rotation_nb[rows[at_start]]
         pos, vel = pos + pos_fix, vel + vel_fix
         pos[at_start], vel[at_start] = self.pos_n[k[at_start]], self.vel_n[k[at_start]]
-        return Trajectory(times, pos, so3.to_quaternion(rotation), vel, self._covariance(times))
+        return rotation, pos, vel
 
     def without_bridge(self) -> Trajectory:
         """The keyframes alone, without the IMU samples."""
         return replace(self, bridge=None)
-
-
-def _joined(parts: list[Trajectory]) -> Trajectory:
-    """Trajectories one after the other."""
-    if len(parts) == 1:
-        return parts[0]
-    t_s, pos, quat, vel = (np.concatenate([getattr(p, f) for p in parts]) for f in ("t_s", "pos_n", "quat_nb", "vel_n"))
-    cov = None if parts[0].cov is None else np.concatenate([p.cov for p in parts if p.cov is not None])
-    return Trajectory(t_s, pos, quat, vel, cov)
 
 
 def _hermite(u: Array, span: Array, end_pos: Array, end_vel: Array) -> tuple[Array, Array]:

@@ -128,12 +128,12 @@ def test_a_leg_is_split_where_it_steps() -> None:
 def test_detections_apart_from_a_group() -> None:
     """Nine of 1,000 in three groups, far off; none where errors are normal (false-alarm rate 1e-4)."""
     rng = np.random.default_rng(1)
-    place = rng.normal(0, 0.01, (3, 1000))
+    place = rng.normal(0, 0.01, (1000, 3))
     groups = leg_means.Groups.of(np.arange(1000) % 3)
-    sigma = np.full(1000, 0.01)
-    assert not leg_means.apart(groups, place, sigma).any()
-    place[0, ::111] += 2.0
-    assert np.flatnonzero(leg_means.apart(groups, place, sigma)).tolist() == list(range(0, 1000, 111))
+    variance = np.full(1000, 0.01**2)
+    assert not leg_means.apart(groups, place, variance).any()
+    place[::111, 0] += 2.0
+    assert np.flatnonzero(leg_means.apart(groups, place, variance)).tolist() == list(range(0, 1000, 111))
 
 
 def test_disagreement_is_beyond_chance() -> None:

@@ -76,6 +76,7 @@ FLOORS = (
         "graphnav.legs",
         "graphnav.leg_advances",
         "graphnav.leg_means",
+        "graphnav.leg_sums",
         "graphnav.leg_priors",
         "graphnav.initial",
         "graphnav.problem",
