@@ -15,7 +15,7 @@ from sample_logs import every_sensor_log, initial, odometer_params, small_log
 
 from graphnav import log as gl
 from graphnav.errors import LogError
-from graphnav.readers import read, tables, write, writer
+from graphnav.readers import folder, read, tables, write, writer
 from graphnav.readers.sections import _toml
 
 
@@ -273,3 +273,17 @@ def test_a_log_that_could_not_be_read_is_not_written(tmp_path, missing, pattern)
     with pytest.raises(LogError, match=pattern):
         write(dataclasses.replace(every_sensor_log(), **missing), tmp_path / "log")
     assert list(tmp_path.iterdir()) == []
+
+
+@given(st.lists(st.tuples(*[st.integers(0, 2)] * 3), min_size=1, max_size=9))
+def test_a_detection_that_is_there_twice_is_told_in_any_order(found):
+    """Of two scans: rows whose leg or range rises or falls within a scan are not looked at further."""
+    rows = np.array(sorted(found, key=lambda row: row[0]))
+    points = gl.LidarPoints(rows[:, 0].astype(float), rows[:, 1], 1.0 + rows[:, 2], np.zeros(len(rows)))
+    twice = [k for k in range(len(rows)) if (rows[:k] == rows[k]).all(axis=1).any()]
+    if twice:
+        with pytest.raises(LogError, match="is there twice") as told:
+            folder._refuse_repeats(points, "lidar_points")
+        assert told.value.row == twice[0]
+    else:
+        folder._refuse_repeats(points, "lidar_points")

@@ -80,6 +80,15 @@ def test_times_that_miss_a_keyframe_by_rounding(beside_s: float) -> None:
         assert np.abs(attitude_error(found.quat_nb, trajectory.quat_nb[5:-5])).max() < 1e-6
 
 
+def test_poses_are_those_of_the_states() -> None:
+    times = np.arange(5.0, 25.0, 0.21)
+    for kind in (run(), run().without_bridge(), straight_and_turning()):
+        asked = times if kind.t_s[-1] > 25 else times / 10
+        states, (rotation, pos) = kind.at(asked), kind.poses_at(asked)
+        assert np.array_equal(pos, states.pos_n)
+        assert np.abs(rotation - states.rotation_nb).max() < 1e-14
+
+
 # between keyframes ------------------------------------------------------------------------------------------
 
 

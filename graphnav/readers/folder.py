@@ -151,29 +151,43 @@ def _build(cls: type[Record], arguments: Mapping[str, Any], file: str, table: st
 def _refuse_repeats(record: Record, where: str) -> None:
     """Refuse a row that repeats another in every column (a table whose rows may share times can have one)."""
     times = getattr(record, record.TIME)
-    steps = np.flatnonzero(times[1:] != times[:-1]) + 1
-    if len(steps) == len(times) - 1:
-        return
+    rows = _in_doubt(record)
     # In blocks, to spare memory; rows of one time stay together, as no block ends between them.
-    ends = np.append(steps, len(times))
+    ends = np.append(np.flatnonzero(np.diff(times[rows])) + 1, len(rows))
     start = 0
-    while start < len(times):
+    while start < len(rows):
         end = int(ends[min(int(np.searchsorted(ends, start + _BLOCK_ROWS)), len(ends) - 1)])
-        _refuse_repeats_within(record, where, start, end)
+        _refuse_repeats_within(record, where, rows[start:end])
         start = end
 
 
-def _refuse_repeats_within(record: Record, where: str, start: int, end: int) -> None:
+def _in_doubt(record: Record) -> npt.NDArray[np.int64]:
+    """Rows that may be there twice: not those of a time of which a column rises or falls from row to row."""
+    times = getattr(record, record.TIME)
+    first = np.flatnonzero(np.diff(times, prepend=-np.inf))
+    count = np.diff(first, append=len(times))
+    doubt = count > 1
+    for f in record.column_fields():
+        values = getattr(record, f.name)
+        if doubt.any() and values is not None and values.ndim == 1 and values.dtype != object:
+            step = np.diff(values, prepend=values[:1])
+            for ordered in (step > 0, step < 0):
+                ordered[first] = True
+                doubt &= ~np.logical_and.reduceat(ordered, first)
+    return np.flatnonzero(np.repeat(doubt, count))
+
+
+def _refuse_repeats_within(record: Record, where: str, rows: npt.NDArray[np.int64]) -> None:
     keys = []
     for f in record.column_fields():
         values = getattr(record, f.name)
         if values is not None:
-            values = values[start:end]
+            values = values[rows]
             keys += list(values.T) if values.ndim == 2 else [_ranks(values)]
-    order = np.lexsort([np.arange(end - start), *reversed(keys)])
+    order = np.lexsort([np.arange(len(rows)), *reversed(keys)])
     same = np.logical_and.reduce([key[order][1:] == key[order][:-1] for key in keys])
     if same.any():
-        row = start + int(order[1:][same].min())
+        row = int(rows[order[1:][same].min()])
         problem = f"the row at {getattr(record, record.TIME)[row]:.6f} s is there twice"
         raise LogError(problem, where=where, row=row, column=record.TIME, fix="remove duplicate rows")
 
