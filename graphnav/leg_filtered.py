@@ -63,7 +63,7 @@ def scanner_of(problem: Problem) -> Scanner:
     log, config = problem.log, problem.config.lidar_filter
     if log.lidar_points is None or log.lidar is None:
         missing = "lidar_points table" if log.lidar_points is None else "[lidar] section"
-        raise LogError(f"no {missing}", where=f"log {log.name}", fix="lidar-ekf needs detected legs: use ekf without")
+        raise LogError(f"no {missing}", where=f"log {log.name}", fix="lidar-ekf needs detected legs: use ekf")
     lidar = log.lidar
     scan_s = float(np.median(np.diff(np.unique(log.lidar_points.t_s)))) if len(log.lidar_points) > 1 else np.inf
     shared = np.sqrt(max(1.0, config.independent_s / scan_s))

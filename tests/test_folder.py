@@ -180,6 +180,8 @@ def test_reading_works_from_inside_the_folder(tmp_path, monkeypatch):
         (lambda p: p.write_text("x"), r"a file, expected a log folder; pass a folder with log.toml"),
         (lambda p: p.mkdir(), r'no log.toml in the folder.*add log.toml with format = "graphnav-log/1"'),
         (lambda p: (p.mkdir(), (p / "Log.toml").write_text("")), "rename Log.toml to log.toml"),
+        (lambda p: (p.mkdir(), (p / "config.toml").write_text("")), "add log.toml with format"),
+        (lambda p: (p.mkdir(), (p / "trajectory.parquet").write_text("")), "results of a run.*pass the log that"),
     ],
 )
 def test_a_path_that_is_no_log(tmp_path, prepare, pattern):

@@ -197,6 +197,9 @@ def test_a_trajectory_that_is_not_finite_is_not_written(tmp_path: Path) -> None:
 def test_errors_on_loading_name_file_row_and_column(tmp_path: Path) -> None:
     with pytest.raises(GraphnavError, match=r"no trajectory\.parquet; give a folder that `graphnav smooth` wrote"):
         results.load(tmp_path)
+    (tmp_path / "log.toml").write_text("")
+    with pytest.raises(GraphnavError, match="is a log: the run comes first, then the log"):
+        results.load(tmp_path)
     folder = results.save(MadeRun(made_trajectory()), tmp_path / "run")
     path = folder / "trajectory.parquet"
     table = pq.read_table(path)

@@ -45,6 +45,8 @@ def _no_log(path: Path) -> LogError:
     if path.is_file():
         fix = f"pass the log folder {path.parent}" if path.name == LOG_FILE else f"pass a folder with {LOG_FILE}"
         return LogError("a file, expected a log folder", where=str(path), fix=fix)
-    near = sorted(p.name for p in path.iterdir() if p.suffix.lower() == ".toml")
+    if (path / "trajectory.parquet").is_file():
+        return LogError("the results of a run, expected a log", where=str(path), fix="pass the log that was smoothed")
+    near = sorted(p.name for p in path.iterdir() if p.name.lower() == LOG_FILE)
     fix = f"rename {near[0]} to {LOG_FILE}" if near else f'add {LOG_FILE} with format = "graphnav-log/1"'
     return LogError(f"no {LOG_FILE} in the folder, so it is no graphnav log", where=str(path), fix=fix)

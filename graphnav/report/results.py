@@ -116,7 +116,9 @@ def load(folder: str | Path) -> Trajectory:
 
     path = Path(folder) / "trajectory.parquet"
     if not path.is_file():
-        raise GraphnavError(f"{folder}: no trajectory.parquet; give a folder that `graphnav smooth` wrote")
+        is_log = (path.parent / "log.toml").is_file()
+        problem = "is a log: the run comes first, then the log" if is_log else "no trajectory.parquet"
+        raise GraphnavError(f"{folder}: {problem}; give a folder that `graphnav smooth` wrote")
     try:
         table = pq.read_table(path)
     except (pa.ArrowInvalid, OSError) as error:
