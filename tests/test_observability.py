@@ -651,7 +651,8 @@ def test_dict_is_strict_json_and_complete() -> None:
     to_json(known_)
     rows = {row["state"]: row for row in known_["states"]}
     assert rows["odometer scale"]["reference"] == pytest.approx(5.0, rel=1e-3)
-    assert rows["odometer scale"]["ratio"] == rows["odometer scale"]["sigma"] / rows["odometer scale"]["reference"]
+    scale = rows["odometer scale"]
+    assert scale["ratio"] == pytest.approx(scale["sigma"] / scale["reference"], rel=1e-12)
     assert rows["heading"]["verdict"] == "not observable"
     assert known_["calibration"]["directions"] == 10
     assert known_["calibration"]["determined"] == 9
