@@ -75,6 +75,7 @@ def slopes(samples: Samples) -> tuple[Array, Array]:
 
 
 def _slope(values: Array, t_s: Array) -> Array:
+    """From the neighbour before to the one after; at either end from the one there is."""
     found = np.empty(values.shape)
     found[1:-1] = (values[2:] - values[:-2]) / (t_s[2:] - t_s[:-2])[:, None]
     found[0] = (values[1] - values[0]) / (t_s[1] - t_s[0])

@@ -200,8 +200,9 @@ def cumulate(increments: Increments) -> Motion:
     """Compose minor increments within every interval."""
     from factors.composition import cumulated
 
-    rows = increments
-    parts = cumulated(rows.first, rows.dt_s, rows.rotation_b, rows.velocity_b, rows.position_b)
+    parts = cumulated(
+        increments.first, increments.dt_s, increments.rotation_b, increments.velocity_b, increments.position_b
+    )
     return Motion(increments.first, *parts)
 
 
@@ -219,6 +220,10 @@ def predict(
     Forster et al. (2017), equation 26, on the rotating Earth to first order in its turn: with ``a(s)`` the specific
     force in the axes of n at the start, ``v = v_0 + g t + int a - Omega x int s a - 2 Omega x (p - p_0)`` and its
     integral.
+
+    Raises
+    ------
+    ValueError : states that are not as many as `index`.
     """
     from factors.composition import predicted
 

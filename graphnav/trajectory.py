@@ -144,8 +144,10 @@ class Trajectory:
         return np.clip(np.searchsorted(self.t_s, times, side="right") - 1, 0, len(self) - 2)
 
     def _covariance(self, times: Array) -> Array | None:
-        if self.cov is None or len(self) == 1:
-            return None if self.cov is None else self.cov[np.zeros(len(times), np.int64)]
+        if self.cov is None:
+            return None
+        if len(self) == 1:
+            return self.cov[np.zeros(len(times), np.int64)]
         k = self._interval(times)
         u = ((times - self.t_s[k]) / (self.t_s[k + 1] - self.t_s[k]))[:, None, None]
         return (1 - u) * self.cov[k] + u * self.cov[k + 1]

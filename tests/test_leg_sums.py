@@ -17,12 +17,8 @@ def test_sums_over_groups_are_those_of_arrays() -> None:
     frame, scanner = Rotation.random(7, random_state=1).as_matrix(), rng.normal(0, 100, (7, 3))
     means, place = on_the_ground(groups.bound, scan, r, t, frame, scanner)
     zero = np.zeros(40)
-    in_s = {
-        "u": np.array([-np.sin(t), np.cos(t), zero]),
-        "w": np.array([-np.cos(t), -np.sin(t), zero]),
-        "n": np.array([zero, zero, zero + 1]),
-    }
-    u, w, n = (np.einsum("kij,jk->ki", frame[scan], axis) for axis in in_s.values())
+    in_s = ([-np.sin(t), np.cos(t), zero], [-np.cos(t), -np.sin(t), zero], [zero, zero, zero + 1])
+    u, w, n = (np.einsum("kij,jk->ki", frame[scan], np.array(axis)) for axis in in_s)
     expected = scanner[scan] + r[:, None] * u
     assert np.abs(place - expected).max() < 1e-12
     moves = [

@@ -170,10 +170,10 @@ def _in_doubt(record: Record) -> npt.NDArray[np.int64]:
     for f in record.column_fields():
         values = getattr(record, f.name)
         if doubt.any() and values is not None and values.ndim == 1 and values.dtype != object:
-            step = np.diff(values, prepend=values[:1])
-            for ordered in (step > 0, step < 0):
-                ordered[first] = True
-                doubt &= ~np.logical_and.reduceat(ordered, first)
+            for ordered in (values[1:] > values[:-1], values[1:] < values[:-1]):
+                from_row_to_row = np.concatenate([[True], ordered])
+                from_row_to_row[first] = True
+                doubt &= ~np.logical_and.reduceat(from_row_to_row, first)
     return np.flatnonzero(np.repeat(doubt, count))
 
 
