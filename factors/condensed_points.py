@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg.lapack import dpstrf
 
 from factors.increments import npt_int
-from factors.known import known_factor
+from factors.known import block_factor
 from factors.so3 import Array, transpose
 
 if TYPE_CHECKING:
@@ -100,14 +100,12 @@ class Condensed:
 
     def linearize_into(self, linear: gtsam.GaussianFactorGraph) -> None:
         """Append what is left: a whitened Jacobian factor for each group of points."""
-        import gtsam
-
-        nothing, common = gtsam.Values(), self.rows.common_key
+        common = [] if self.rows.common_key is None else [self.rows.common_key]
         for keys, information in self._groups():
-            root, ends = _root(information), np.arange(6, 6 * len(keys) + 1, 6).tolist()
-            blocks = np.split(root[:, :-1], ends if common is not None else ends[:-1], axis=1)
-            named = keys if common is None else [*keys, common]
-            linear.push_back(known_factor(named, blocks, root[:, -1]).linearize(nothing))
+            root = _root(information)
+            root[:, -1] *= -1
+            sizes = [6] * len(keys) + [self.beside.shape[2] - 1] * len(common)
+            linear.push_back(block_factor(keys + common, sizes, root))
 
     def _groups(self) -> Iterator[tuple[list[int], Array]]:
         """Keys of the poses that a group of points was seen from, and the information on them and on `beside`."""

@@ -12,17 +12,19 @@ if TYPE_CHECKING:
     import gtsam
 
 
-def known_factor(keys: list[int], blocks: list[Array], error: Array) -> gtsam.CustomFactor:
-    """A factor whose whitened error (R,) and Jacobians (R, size) are known; linearized, it is these at any values."""
+def jacobian_factor(keys: list[int], blocks: list[Array], error: Array) -> gtsam.GaussianConditional:
+    """Whitened Jacobian factor of the squares of ``error + sum of block x``, with blocks (R, size) and error (R,)."""
+    return block_factor(keys, [block.shape[1] for block in blocks], np.column_stack([*blocks, -error]))
+
+
+def block_factor(keys: list[int], sizes: list[int], augmented: Array) -> gtsam.GaussianConditional:
+    """The same from all blocks and minus the error side by side (R, sum of sizes + 1), fastest ordered by columns.
+
+    A conditional density is a Jacobian factor too, and the only one whose constructor takes a matrix of blocks.
+    """
     import gtsam
 
-    def told(factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
-        if jacobians is not None:
-            for k, block in enumerate(blocks):
-                jacobians[k] = block
-        return error
-
-    return gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(len(np.atleast_1d(error))), keys, told)
+    return gtsam.GaussianConditional(keys, 1, gtsam.VerticalBlockMatrix(sizes, augmented, True))
 
 
 def linear_factor(keys: list[int], blocks: list[Array]) -> gtsam.CustomFactor:

@@ -21,7 +21,7 @@ import numpy as np
 from factors import lookup, so3
 from factors.increments import npt_int
 from factors.inertial import Motion, predict
-from factors.known import known_factor
+from factors.known import jacobian_factor
 from factors.range_layout import RangeLayout
 from factors.robust import Loss, losses, weights
 from factors.so3 import Array
@@ -185,10 +185,8 @@ class RangeFamily:
             excess = float((2 * losses(error, self.loss, self.scale) - weight * error**2).sum())
             root = np.sqrt(weight)
             error, jacobians = root * error, {name: root[:, None] * each for name, each in jacobians.items()}
-        graph = gtsam.NonlinearFactorGraph()
         for rows, keys, blocks in self.every_block(jacobians):
-            graph.add(known_factor(keys, blocks, error[rows]))
-        linear.push_back(graph.linearize(values))
+            linear.push_back(jacobian_factor(keys, blocks, error[rows]))
         # a row of no variable's makes the linear graph's error that of the loss
         held = int(self.pose_key[0])
         unit = gtsam.noiseModel.Unit.Create(1)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from factors.known import known_factor
+from factors.known import jacobian_factor
 from factors.so3 import Array, from_quaternion
 from graphnav import _metrics as metrics
 from graphnav._stages import ProgressHook, Stages
@@ -199,7 +199,7 @@ def _rest_given_states(linear: gtsam.GaussianFactorGraph, values: gtsam.Values) 
                 left.append(key)
                 blocks.append(matrix[:, at:end])
             at = end
-        reduced.push_back(known_factor(left, blocks, -right).linearize(values))
+        reduced.push_back(jacobian_factor(left, blocks, -right))
     return eliminate(reduced, gtsam.Ordering.ColamdGaussianFactorGraph(reduced)).optimize()
 
 
