@@ -13,11 +13,16 @@ import numpy as np
 
 from factors import lookup
 from factors.increments import npt_int
+from factors.known import block_factor
 from factors.landmark import ANGLE_BIAS, MOUNTING, leg_rows
+from factors.leg_groups import LegGroups, grouped
 from factors.so3 import Array
 
 if TYPE_CHECKING:
     import gtsam
+
+#: Groups of readings linearized at once, which bounds the memory.
+_BLOCK = 512
 
 
 def _cauchy(error: Array, loss: float) -> tuple[Array, float]:
@@ -79,6 +84,10 @@ class LegFamily:
         return self.spread @ acts
 
     @cached_property
+    def _groups(self) -> LegGroups:
+        return grouped(self.pose_key, self.calibration_key, self.leg_key)
+
+    @cached_property
     def _reading(self) -> Array:
         """(K, 4) range, angle, height and height above the plane."""
         return np.column_stack([self.range_m, self.angle_rad, self.height_m, self.off_plane_m])
@@ -95,13 +104,14 @@ class LegFamily:
         sigma = self.sigma[rows]
         return error / sigma, by_pose / sigma[..., None], by_leg / sigma[..., None], by_calibration / sigma[..., None]
 
-    def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values, block: int = 4096) -> None:
-        """Append the whitened Jacobian factors at `values`."""
+    def linearize_into(self, linear: gtsam.GaussianFactorGraph, values: gtsam.Values) -> None:
+        """Append whitened Jacobian factors at `values`, each of the readings of one pose and calibration."""
         import gtsam
 
-        unit = _unit(2)
-        for lo in range(0, len(self.pose_key), block):
-            rows = slice(lo, lo + block)
+        groups = self._groups
+        for lo in range(0, len(groups.keys), _BLOCK):
+            some = slice(lo, min(lo + _BLOCK, len(groups.keys)))
+            rows = slice(groups.first[some.start], groups.first[some.stop])
             error, by_pose, by_leg, by_calibration = self.residuals(values, rows)
             if self.loss is not None:
                 weight, more = _cauchy(error, self.loss)
@@ -110,14 +120,11 @@ class LegFamily:
                     weight[:, None, None] * by for by in (by_pose, by_leg, by_calibration)
                 )
                 # a row of no variable's makes the linear graph's error that of the loss
-                held = int(self.calibration_key[lo])
+                held = int(self.calibration_key[rows.start])
                 linear.push_back(gtsam.JacobianFactor(held, np.zeros((1, 8)), np.array([more]), _unit(1)))
-            parts = (
-                self.pose_key[rows].tolist(), by_pose, self.leg_key[rows].tolist(), by_leg,
-                self.calibration_key[rows].tolist(), by_calibration, -error,
-            )  # fmt: skip
-            for x, by_x, leg, by_l, d, by_d, b in zip(*parts, strict=True):
-                linear.add(x, by_x, leg, by_l, d, by_d, b, unit)
+            matrices = groups.side_by_side(some, error, by_pose, by_leg, by_calibration)
+            for keys, sizes, augmented in zip(groups.keys[some], groups.sizes[some], matrices, strict=True):
+                linear.push_back(block_factor(keys, sizes, augmented))
 
     def only(self, rows: npt_int) -> LegFamily:
         """Some of the readings."""
