@@ -40,7 +40,7 @@ def observe(
     stages = Stages(progress)
     if isinstance(log, SensorLog):
         log = replace(log, truth=None)
-    problem = posed(log, config or Config(), stages)
+    problem = posed(log, Config.given(config), stages)
     if source == "graph":
         solved = solve_batch(problem, stages)
         with stages.stage("covariance") as tick:

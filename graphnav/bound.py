@@ -73,7 +73,7 @@ def bound(log: SensorLog | str | Path, config: Config | None = None, progress: P
         from graphnav.readers import read
 
         log = read(log)
-    config = config or Config()
+    config = Config.given(config)
     if config.closed_path.form == "absolute":
         raise ConfigError(
             'closed_path.form = "absolute" counts the same measurements twice and has no bound; use "relative"'

@@ -60,7 +60,10 @@ def compare(
     ConfigError : an unknown method, or seeds for a log whose name tells no scenario.
     LogError : a log that cannot be read.
     """
+    from graphnav.config import Config
+
     chosen = None if methods is None else _checked(methods)
+    config = Config.given(config)
     if seeds < 0:
         raise ConfigError(f"seeds = {seeds}, expected zero or more")
     if seeds:
@@ -149,7 +152,7 @@ def _parsed(name: str) -> Simulated | None:
 
 
 def _compared(
-    log: SensorLog, methods: Sequence[str] | None, config: Config | None, progress: ProgressHook | None
+    log: SensorLog, methods: Sequence[str] | None, config: Config, progress: ProgressHook | None
 ) -> tuple[str, int, tuple[MethodRow, ...]]:
     """What the errors are against, no seeds, and a row per method."""
     _warm_up()
@@ -176,7 +179,7 @@ def _warm_up() -> None:
         warm_up()
 
 
-def _tried(blind: SensorLog, config: Config | None, method: str, progress: ProgressHook | None) -> Run | MethodRow:
+def _tried(blind: SensorLog, config: Config, method: str, progress: ProgressHook | None) -> Run | MethodRow:
     """The run, or the row of a method that failed: whatever it was, the other methods go on."""
     from graphnav.smooth import smooth
 
@@ -241,7 +244,7 @@ class _Task:
 
     scenario: Simulated
     methods: tuple[str, ...] | None
-    config: Config | None
+    config: Config
 
     @property
     def name(self) -> str:

@@ -171,6 +171,18 @@ class Config(Section):
     covariance: bool = Field(True, description="covariances at all keyframes")
 
     @classmethod
+    def given(cls, config: Config | None) -> Config:
+        """What a caller gave for one; the defaults for None."""
+        if config is None:
+            return cls()
+        if not isinstance(config, Config):
+            raise ConfigError(
+                f"config is of type {type(config).__name__}, expected a Config: Config.from_dict({{...}}) makes one of "
+                "nested keys, Config.from_toml(path) of a file"
+            )
+        return config
+
+    @classmethod
     def from_dict(cls, values: dict[str, Any], where: str = "configuration") -> Config:
         """A configuration from nested keys; unknown keys and wrong values raise `ConfigError`."""
         try:

@@ -74,11 +74,12 @@ def smooth(
     """
     if method not in METHODS:
         raise ConfigError(f'unknown method "{method}"; known: {", ".join(METHODS)}')
-    if method in UWB_METHODS and config is not None and config.uwb.estimate_time_offset:
+    config = Config.given(config)
+    if method in UWB_METHODS and config.uwb.estimate_time_offset:
         raise ConfigError(f"{method} estimates no time offset of ranges: batch and isam2 do, or declare time_offset_s")
     stages = Stages(progress)
     log = _opened(log, stages)
-    return replace(_by_method(log, config or Config(), method, stages), log_name=log.name)
+    return replace(_by_method(log, config, method, stages), log_name=log.name)
 
 
 def _by_method(log: SensorLog, config: Config, method: str, stages: Stages) -> Run:

@@ -217,7 +217,7 @@ def test_images_of_a_scenario_are_rendered_where_a_method_looks_at_them(
 
     monkeypatch.setattr(stereo_images, "render_into", draw)
     monkeypatch.setattr(compare_module, "_compared", judged)
-    task = compare_module._Task(parse_name("roadheader-stereo_rate_hz=2"), tuple(methods), None)
+    task = compare_module._Task(parse_name("roadheader-stereo_rate_hz=2"), tuple(methods), Config())
     assert task.run(3) == ()
     compare("roadheader-stereo_seed4", methods)
     wanted = [("roadheader-stereo", 3, {"rate_hz": 2.0}), ("roadheader-stereo", 4, {})] if "batch" in methods else []

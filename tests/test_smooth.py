@@ -7,6 +7,7 @@ a failure after a change would be if nothing were wrong.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import cache, reduce
 from pathlib import Path
 
@@ -449,6 +450,13 @@ def test_half_an_hour_of_an_imu_alone() -> None:
 def test_unknown_method() -> None:
     with pytest.raises(ConfigError, match='unknown method "ekf9"; known: batch, isam2'):
         smooth(simulated(SHORT), method="ekf9")
+
+
+@pytest.mark.parametrize("call", [gn.smooth, gn.compare, gn.bound, gn.observe])
+def test_nested_keys_in_place_of_a_configuration(call: Callable[..., object]) -> None:
+    """They say what makes a configuration of them."""
+    with pytest.raises(ConfigError, match=r"config is of type dict, expected a Config: Config\.from_dict"):
+        call(simulated(SHORT), config={"covariance": False})
 
 
 def test_a_missing_initial_state() -> None:
