@@ -46,9 +46,9 @@ class StereoTracksConfig(Section):
     min_features: int = Field(12, ge=3, description="a frame with fewer is skipped")
     min_depth_m: float = Field(1.0, gt=0, description="nothing is nearer; it bounds the disparities looked at")
     bias_px: float = Field(
-        0.03,
+        0.005,
         ge=0,
-        description="sigma of what all disparities are too large by, as features on slanted walls are found",
+        description="sigma of what all disparities are too large by as features are found, beside the camera's own",
     )
     min_disparity_px: float = Field(0.5, ge=0, description="features farther away than this tells are left out")
 
