@@ -8,12 +8,16 @@ from factors.so3 import Array
 from graphnav.camera import Camera
 from graphnav.keyframes import SAME_S
 from graphnav.leg_means import npt_bool
+from graphnav.log import Stereo
 from graphnav.motions import MotionReadings
 from graphnav.problem import Problem, X
+from graphnav.run import Calibration
 from graphnav.tracks import TrackReadings
 
 #: The longest time without the camera that is passed over, s, and the share of readings of features left out that is.
 _GAP_S, _MANY = 10.0, 0.2
+#: Sigmas from which on what all disparities are too large by is told to be more than was declared.
+_FAR_SIGMAS = 5.0
 #: Times without frames are holes where they are also so many times as long as usual.
 _UNUSUAL = 5.0
 
@@ -40,6 +44,30 @@ def left_out_counts(left_out: Camera) -> dict[str, int]:
     """How many rows of each table were left out."""
     counts = {"relative_pose": left_out.motions, "stereo_tracks": left_out.tracks}
     return {table: len(part.row) for table, part in counts.items() if part is not None and len(part.row)}
+
+
+def disparity_warnings(stereo: Stereo | None, found: dict[str, Calibration]) -> list[str]:
+    """A line where all disparities are too large or too small by more than is declared.
+
+    With the prior p taken out of the estimate ``m +- s``, the readings alone say ``m p^2 / (p^2 - s^2)``, to
+    ``p s / sqrt(p^2 - s^2)``; by p and this together it is ``m / sqrt(p^2 - s^2)`` sigmas off.
+
+    Parameters
+    ----------
+    stereo : with all that is allowed for; found : the calibration.
+    """
+    item, prior = found.get("camera_disparity"), 0.0 if stereo is None else stereo.disparity_sigma_px
+    if item is None or item.sigma is None or not item.sigma < prior:
+        return []
+    told = prior**2 - item.sigma**2
+    sigmas, alone, own = abs(item.value) / told**0.5, item.value * prior**2 / told, prior * item.sigma / told**0.5
+    if sigmas < _FAR_SIGMAS:
+        return []
+    return [
+        f"all disparities seem to be {abs(alone):.2g} +- {own:.1g} px too {'large' if alone > 0 else 'small'}, where"
+        f" {prior:.2g} px are allowed for ({sigmas:.0f} sigmas): check the pair's calibration, or declare"
+        " disparity_sigma_px of [stereo], and it is estimated"
+    ]
 
 
 def _motion_warnings(problem: Problem, used: MotionReadings, left_out: MotionReadings | None) -> list[str]:

@@ -14,7 +14,7 @@ from graphnav._stages import Stages
 from graphnav.agreement import agreeing_camera, agreeing_ranges
 from graphnav.camera import Camera
 from graphnav.camera_errors import camera_known
-from graphnav.camera_outcome import left_out_counts
+from graphnav.camera_outcome import disparity_warnings, left_out_counts
 from graphnav.chain_graph import (
     chain_graph,
     chain_values,
@@ -113,7 +113,8 @@ def _smoothed(problem: ChainProblem, way: Trajectory, stages: Stages) -> Run:
         blocks = _covariances(problem, result, tick) if config.covariance else None
     trajectory = _trajectory(problem, result.values, blocks)
     calibration = {**_calibration(problem, result.values, blocks), **anchor_calibration(problem, result.values, blocks)}
-    return Run(trajectory, calibration, _diagnostics(problem, "batch", stages, result.iterations, rejected), config)
+    told = _diagnostics(problem, "batch", stages, result.iterations, rejected, calibration)
+    return Run(trajectory, calibration, told, config)
 
 
 def _covariances(
@@ -179,6 +180,7 @@ def _diagnostics(
     stages: Stages,
     iterations: tuple[batch.Iteration, ...],
     rejected: dict[str, int] | None = None,
+    calibration: dict[str, Calibration] | None = None,
 ) -> Diagnostics:
     steps = [dict(vars(step)) for step in iterations]
     return Diagnostics(
@@ -189,7 +191,7 @@ def _diagnostics(
         seconds=stages.total(),
         peak_rss_mb=peak_bytes() / 1e6,
         rejected=rejected or {},
-        warnings=_warnings(problem),
+        warnings=_warnings(problem) + disparity_warnings(problem.log.stereo, calibration or {}),
         history=steps,
     )
 

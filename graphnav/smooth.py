@@ -16,7 +16,7 @@ from factors.so3 import Array, to_quaternion
 from graphnav._memory import peak_bytes
 from graphnav._stages import ProgressHook, Stages
 from graphnav.camera_clock import UNSETTLED
-from graphnav.camera_outcome import camera_warnings, left_out_counts
+from graphnav.camera_outcome import camera_warnings, disparity_warnings, left_out_counts
 from graphnav.camera_score import camera_score_warnings
 from graphnav.config import Config
 from graphnav.errors import ConfigError, SolveError
@@ -190,6 +190,7 @@ def _report(problem: Problem, solved: Solved, blocks: dict[int, Array] | None, m
     if solved.camera is not None and solved.camera_left_out is not None:
         noted += camera_warnings(problem, solved.camera, solved.camera_left_out)
         noted += camera_score_warnings(solved.camera_score)
+        noted += disparity_warnings(problem.log.stereo, found)
         noted += [UNSETTLED] if solved.camera_late else []
         left_out |= left_out_counts(solved.camera_left_out)
     diagnostics = Diagnostics(

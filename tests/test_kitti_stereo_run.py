@@ -55,3 +55,13 @@ def test_drift_of_the_images_alone(log: SensorLog) -> None:
     assert (np.array(drift(kitti_stereo.MEASURED_FROM)) < [1.0, 0.0075]).all()
     disparity = run.calibration["camera_disparity"]
     assert disparity.value < -2 * disparity.sigma
+
+
+@pytest.mark.data
+@pytest.mark.slow
+def test_a_pair_wrongly_declared_as_exact_is_told(log: SensorLog) -> None:
+    """By the 0.15 px that it finds where they are an unknown: the prior of what finding features adds is taken out."""
+    exact = dataclasses.replace(log, truth=None, stereo=log.stereo.replace(disparity_sigma_px=0.0))
+    warnings = gn.smooth(exact).diagnostics.warnings
+    assert any(line.startswith("all disparities seem to be 0.1") and "px too small" in line for line in warnings)
+    assert not gn.smooth(dataclasses.replace(log, truth=None)).diagnostics.warnings

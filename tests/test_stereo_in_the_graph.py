@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from functools import cache
 
 import numpy as np
@@ -117,6 +118,22 @@ def test_what_disparities_are_too_large_by_is_estimated() -> None:
     assert "camera_angle_right" not in run.calibration
     error, sigma = errors(run, log)
     assert (np.abs(error) < 4.5 * sigma).all()
+
+
+@pytest.mark.parametrize(("error_px", "prior_px"), [(0.1, 0.005), (-0.3, 0.03)])
+def test_disparities_off_by_more_than_is_allowed_for_are_told(error_px: float, prior_px: float) -> None:
+    """By how much (false alarm: 1e-3), though the prior holds the estimate; as declared nothing is said (6e-7)."""
+    log = log_of(4)
+    stereo = log.stereo.replace(disparity_sigma_px=prior_px)
+    right = log.stereo_tracks.u_right_px
+    wrong = log.stereo_tracks.replace(u_right_px=right - error_px)
+    run = smoothed(dataclasses.replace(log, stereo_tracks=wrong, stereo=stereo))
+    (told,) = (line for line in run.diagnostics.warnings if "all disparities" in line)
+    size, own, which = re.search(r"be ([\d.]+) \+- ([\d.]+) px too (\w+),", told).groups()
+    assert float(size) == pytest.approx(abs(error_px), abs=3.3 * float(own))
+    assert 3 * float(own) < float(size)
+    assert which == ("large" if error_px > 0 else "small")
+    assert not smoothed(dataclasses.replace(log, stereo=stereo)).diagnostics.warnings
 
 
 def test_a_camera_mounted_askew_is_found() -> None:
