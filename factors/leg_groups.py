@@ -47,8 +47,8 @@ class LegGroups:
 
 def grouped(pose_key: npt_int, calibration_key: npt_int, leg_key: npt_int) -> LegGroups:
     """Successive readings of one pose and calibration, not too many together."""
-    own = np.diff(pose_key) | np.diff(calibration_key)
-    start = np.r_[0, np.flatnonzero(own) + 1]
+    changed = (np.diff(pose_key) != 0) | (np.diff(calibration_key) != 0)
+    start = np.r_[0, np.flatnonzero(changed) + 1]
     position = np.arange(len(pose_key)) - np.repeat(start, np.diff(np.r_[start, len(pose_key)]))
     first = np.r_[np.flatnonzero(position % _TOGETHER == 0), len(pose_key)]
     poses, calibrations, legs = pose_key.tolist(), calibration_key.tolist(), leg_key.tolist()
@@ -79,10 +79,10 @@ def _place(
         for k in range(first[g], first[g + 1]):
             for i in range(2):
                 row = at[g] + 2 * (k - first[g]) + i
-                for j in range(6):
+                for j in range(_POSE):
                     flat[row + j * high] = by_pose[k, i, j]
-                for j in range(8):
-                    flat[row + (6 + j) * high] = by_calibration[k, i, j]
-                for j in range(4):
+                for j in range(_CALIBRATION):
+                    flat[row + (_POSE + j) * high] = by_calibration[k, i, j]
+                for j in range(_LEG):
                     flat[row + (column[k] + j) * high] = by_leg[k, i, j]
                 flat[end - high + 2 * (k - first[g]) + i] = -error[k, i]
